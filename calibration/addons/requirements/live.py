@@ -102,6 +102,10 @@ class RosbridgeWatch:
             for topic in each.wanted:
                 self._of_topic.setdefault(topic, []).append(each)
         self._requirements, self._port, self._addresses, self._note = requirements, port, addresses, note
+        self._silent = set(self._of_topic)
+        """Topics of which no message has come."""
+        self._refusal = ""
+        """The last error that rosbridge has sent."""
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._follow, name="rosbridge", daemon=True)
         self._thread.start()
@@ -128,6 +132,8 @@ class RosbridgeWatch:
                 self._receive(connection)
         except optional("websockets", "rosbridge").ConnectionClosed as error:
             self._note(f"nothing more is watched: the connection to rosbridge was closed: {error}")
+        if self._silent:
+            self._note(f"no message came of {', '.join(sorted(self._silent))}{self._refusal}")
 
     def _connect_until_closing(self) -> Any:
         """Return the first connection that is accepted; None if the watch ended before."""
@@ -151,29 +157,33 @@ class RosbridgeWatch:
         return None
 
     def _receive(self, connection: Any) -> None:
-        silent, subscribe_at = set(self._of_topic), 0.0
+        subscribe_at = 0.0
         while not self.reason and not self._closing.is_set():
             if time.monotonic() >= subscribe_at:
                 subscribe_at = time.monotonic() + RETRY_SECONDS
-                for topic in sorted(silent):
+                for topic in sorted(self._silent):
                     wanted = {"op": "subscribe", "id": topic, "topic": topic, "queue_length": MAX_QUEUED_IN_ROSBRIDGE}
                     connection.send(json.dumps(wanted))
             try:
-                silent.discard(self._take(connection.recv(timeout=_POLL_SECONDS)))
+                self._take(connection.recv(timeout=_POLL_SECONDS))
             except TimeoutError:
                 continue
 
-    def _take(self, data: str | bytes) -> str:
-        """Feed a message of rosbridge to the requirements; return its topic, empty if it is none of theirs."""
+    def _take(self, data: str | bytes) -> None:
+        """Feed a message of rosbridge to the requirements."""
         try:
             found = parse_json(data)
-            topic, content = found["topic"], found["msg"]
+            content = found["msg"]
+            if found["op"] == "status":
+                self._refusal = f"; rosbridge says: {shorten(one_line(str(content)), 200)}"
+                return
+            topic = found["topic"]
             requirements = self._of_topic[topic] if found["op"] == "publish" else []
         except (ValueError, RecursionError, KeyError, TypeError):  # another operation, or no rosbridge at all
-            return ""
+            return
+        self._silent.discard(topic)
         for each in list(requirements):
             self._feed(each, topic, content, len(data))
-        return str(topic)
 
     def _feed(self, requirement: Requirement, topic: str, content: Any, size: int) -> None:
         now = time.time_ns()

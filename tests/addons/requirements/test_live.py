@@ -15,6 +15,7 @@ from websockets.sync.server import ServerConnection, serve
 
 from calibration.addons.requirements import live
 from calibration.addons.requirements.live import RosbridgeWatch, live_watch, requirements_of_one_message
+from calibration.addons.requirements.requirement import Message
 from calibration.addons.requirements.settings import RequirementSettings
 from calibration.base.errors import InputError
 from calibration.base.records import read
@@ -161,6 +162,12 @@ def test_a_message_that_is_too_large_ends_the_watch_with_a_note(monkeypatch: pyt
     assert (reason, "nothing more is watched" in notes[1]) == ("", True)
 
 
+def test_a_topic_of_which_nothing_comes_is_noted_with_what_rosbridge_says() -> None:
+    refusal = json.dumps({"op": "status", "level": "error", "msg": "no such type"})
+    _, notes = watched(publishing(refusal, GOOD[0]), lambda watch, _: watch._silent == {"/cmd_vel"})
+    assert notes[1:] == ["no message came of /cmd_vel; rosbridge says: no such type"]
+
+
 def test_what_is_no_rosbridge_is_noted_at_the_end() -> None:
     notes: list[str] = []
     watch = RosbridgeWatch(requirements_of_one_message(settings(SECTION)), 1, lambda: ["127.0.0.1"], notes.append)
@@ -189,7 +196,7 @@ def test_a_limit_that_an_array_of_float32_reaches_is_not_contradicted() -> None:
     kept = {"fields": {"a": {"max": 0.1, "min": 0.1, "equals": 0.1}}}
     [requirement] = requirements_of_one_message(settings({"topics": {"/a": kept}}))
     fields = live.fields_of_json({"a": [0.10000000149011612]}, {"a": {}}, True)
-    requirement.feed(live.Message("/a", 0, fields, 1))
+    requirement.feed(Message("/a", 0, fields, 1))
     assert not requirement.is_refuted
 
 
@@ -223,7 +230,7 @@ def test_the_stage_collect_watches_the_containers_whose_bag_is_judged(
     path.write_text(CONFIGURATION.format(name=name))
     of, log = read_configuration(path), io.StringIO()
     runner = Runner(stdout=log, stderr=log)
-    run = PipelineRun(Matrix({}, of.noise), tmp_path, runner, simulations=of.simulations, sections=of.sections)
+    run = PipelineRun(Matrix((), of.noise), tmp_path, runner, simulations=of.simulations, sections=of.sections)
     collecting.collect_stage(run)
     assert found == [is_watched]
     assert ("nothing is watched" in log.getvalue()) != is_watched

@@ -128,7 +128,6 @@ class JobRun(Supervisor[ContainerRun]):
             log = self._open_log(logs, container.name, container.essential, pattern)
             image = self._run.images[container.image]
             self.containers.append(ContainerRun(container, self._run.engine, image, log))
-
         if self._run.watch is not None:
             self._watch_log = self._open_log(logs, WATCH_LOG_NAME, True)
 
@@ -148,9 +147,7 @@ class JobRun(Supervisor[ContainerRun]):
             self._api.create_volume(self._volume, labels=self._labels_of_job())
         self._network = self._choose_network()
         if self._run.watch is not None:
-            self.watch = self._run.watch(
-                self._addresses, lambda line: self._watch_log.feed(f"{one_line(line)}\n".encode())
-            )
+            self.watch = self._run.watch(self._addresses, self._note_of_watch)
         self.supervise(self._folder / ARTIFACTS_FOLDER)
 
     def _choose_network(self) -> Network | None:
@@ -241,6 +238,10 @@ class JobRun(Supervisor[ContainerRun]):
 
     def _redact_reason(self, reason: str) -> str:
         return one_line(redact(reason, self._secrets))
+
+    def _note_of_watch(self, line: str) -> None:
+        with suppress(InfrastructureError):  # a full disk, which the containers' own logs report
+            self._watch_log.feed(f"{one_line(line)}\n".encode())
 
     def _addresses(self) -> list[str]:
         """Return the addresses of the running containers; called in the watch's thread, so with its own client."""
