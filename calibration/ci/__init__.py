@@ -4,7 +4,7 @@ It imports `calibration.base` only.
 
 - ``workflow``: what a step tells its CI service or a terminal: groups, annotations, outputs, progress;
 - ``git``: the repository, its commits and changes;
-- ``github``: GitHub as a CI service, and the one comment on a pull request; ``services.py`` names the services;
+- ``github``, ``gitlab``, ``forgejo``: CI services, and the one comment on a pull request; ``services.py`` names them;
 - ``report``, ``pages``: results of any work and their one publisher; one page that opens offline;
 - ``introspection``: rule files, and the report of rules over tables;
 - ``docker_engine``, ``registries``, ``image``: the Docker Engine, registries, and an image from its specification;

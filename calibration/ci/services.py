@@ -1,9 +1,12 @@
 """The CI services that are known."""
 
+from calibration.ci.forgejo.service import FORGEJO
 from calibration.ci.github.service import GITHUB
+from calibration.ci.gitlab.service import GITLAB
 from calibration.ci.workflow.runner import TERMINAL, Environment, Event, Terminal
 
-SERVICES: list[Terminal] = [GITHUB]
+SERVICES: list[Terminal] = [GITLAB, FORGEJO, GITHUB]
+"""In the order in which they are asked: Forgejo's runners set GitHub's variable too."""
 
 
 def service_of(environment: Environment) -> Terminal:

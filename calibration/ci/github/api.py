@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, ClassVar, Self
 from urllib.parse import urlsplit
 
 from calibration.base.errors import InfrastructureError, InputError
@@ -31,8 +31,16 @@ class RefusedRequestError(InfrastructureError):
 
 @dataclass(frozen=True)
 class GitHubApi:
-    """Session with the API, authenticated by a token."""
+    """Session with the API, authenticated by a token; that of another forge overrides what differs."""
 
+    address_variable: ClassVar[str] = "GITHUB_API_URL"
+    """Environment variable with the API's address, for messages."""
+    accepted_type: ClassVar[str] = "application/vnd.github+json"
+    """Media type of answers."""
+    needed: ClassVar[str] = "the job needs permissions:"
+    """Beginning of the message that names a missing permission."""
+    update_method: ClassVar[str] = "PATCH"
+    """HTTP method that replaces the text of a comment."""
     token: str = field(repr=False)
     url: str = API_URL
     permission: str = "pull-requests: write"
@@ -47,7 +55,7 @@ class GitHubApi:
         pause: Callable[[float], None] = time.sleep,
         *,
         permission: str = "pull-requests: write",
-    ) -> "GitHubApi":
+    ) -> Self:
         """Open a session.
 
         Args:
@@ -61,8 +69,10 @@ class GitHubApi:
         """
         parts = urlsplit(url)
         if not parts.netloc or parts.scheme not in ("https", "http" if is_loopback(parts.netloc) else "https"):
-            raise InputError(f"GITHUB_API_URL: found {url!r:.80}, expected an address such as {API_URL}")
-        http = Http([token], address="GITHUB_API_URL", explain=_error_message, most_bytes=MAX_ANSWER_BYTES, pause=pause)
+            raise InputError(f"{cls.address_variable}: found {url!r:.80}, expected an address such as {API_URL}")
+        http = Http(
+            [token], address=cls.address_variable, explain=_error_message, most_bytes=MAX_ANSWER_BYTES, pause=pause
+        )
         return cls(token, url.rstrip("/"), permission, http=http)
 
     def request(self, method: str, path: str, body: object = None) -> Any:
@@ -98,7 +108,7 @@ class GitHubApi:
     ) -> Answer:
         """Send a request, and return its answer of success; raises as `request`."""
         headers = {
-            "Accept": "application/vnd.github+json",
+            "Accept": self.accepted_type,
             "Authorization": f"Bearer {self.token}",
             "X-GitHub-Api-Version": "2022-11-28",
             **more,
@@ -114,7 +124,7 @@ class GitHubApi:
         if answer.status == 403 and _is_rate_limit(answer):
             raise InfrastructureError(f"{fault}: the rate limit of this token is exceeded: run it again later")
         if answer.status == 403:
-            raise InputError(f"{fault}: the token lacks a permission: the job needs permissions: {self.permission}")
+            raise InputError(f"{fault}: the token lacks a permission: {self.needed} {self.permission}")
         unexpected = f"{fault}: unexpected answer to {method} {urlsplit(url).path}"
         raise RefusedRequestError(unexpected) if answer.status == 422 else InfrastructureError(unexpected)
 
@@ -125,12 +135,17 @@ class GitHubApi:
             InfrastructureError: as `request`, or the answer is not a list.
         """
         for page in range(1, MAX_PAGES + 1):
-            entries = self.request("GET", f"{path}per_page={ENTRIES_PER_PAGE}&page={page}")
-            if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-                raise InfrastructureError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
+            entries = self.list_at(f"{path}per_page={ENTRIES_PER_PAGE}&page={page}")
             yield from entries
             if len(entries) < ENTRIES_PER_PAGE:
                 return
+
+    def list_at(self, path: str) -> list[dict[str, Any]]:
+        """Return a list of objects; raises as `pages`."""
+        entries = self.request("GET", path)
+        if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+            raise InfrastructureError(f"{urlsplit(self.url).netloc}: {path}: expected a list of objects")
+        return entries
 
     def _parse_answer(self, answer: Answer) -> Any:
         if not answer.body:
@@ -140,7 +155,7 @@ class GitHubApi:
         except (ValueError, RecursionError):
             host = urlsplit(self.url).netloc
             raise InfrastructureError(
-                f"{host}: the answer is not JSON: is GITHUB_API_URL the address of an API?"
+                f"{host}: the answer is not JSON: is {self.address_variable} the address of an API?"
             ) from None
 
 

@@ -97,6 +97,14 @@ class Comments:
     def _list_path(self) -> str:
         return f"/repos/{self.repository}/issues/{self.number}/comments"
 
+    def _comment_path(self, comment: int) -> str:
+        return f"/repos/{self.repository}/issues/comments/{comment}"
+
+    def _is_own(self, comment: Mapping[str, Any], login: str | None) -> bool:
+        """Whether the token's user has written a comment; without a login that is a bot."""
+        user = comment.get("user")
+        return isinstance(user, dict) and (user.get("type") == "Bot" if login is None else user.get("login") == login)
+
     def _find_marked(self, key: str) -> list[Comment]:
         """Return the comments with a key, the oldest first."""
         return sorted(self._of_this_token(key), key=lambda each: each.id)
@@ -105,12 +113,11 @@ class Comments:
         """Yield the comments with a key that the token's user has written, because anybody can write a marker."""
         login = self._login_of_token()
         for found in self._all_comments():
-            user, body, number = found.get("user"), found.get("body"), found.get("id")
-            if not isinstance(user, dict) or not isinstance(body, str) or not isinstance(number, int):
+            body, number = found.get("body"), found.get("id")
+            if not isinstance(body, str) or not isinstance(number, int):
                 continue
             marker = _MARKER_LINE.match(body.replace("\r\n", "\n"))
-            own = user.get("type") == "Bot" if login is None else user.get("login") == login
-            if own and marker and marker["key"] == quote(key, safe="/"):
+            if self._is_own(found, login) and marker and marker["key"] == quote(key, safe="/"):
                 yield Comment(number, body, (int(marker["run"]), int(marker["attempt"])))
 
     def _all_comments(self) -> Iterator[dict[str, Any]]:
@@ -143,14 +150,14 @@ class Comments:
     def _replace_text(self, comment: int, body: str) -> bool:
         """Replace the text of a comment; return False if it has been deleted meanwhile."""
         try:
-            self.api.request("PATCH", f"/repos/{self.repository}/issues/comments/{comment}", {"body": body})
+            self.api.request(self.api.update_method, self._comment_path(comment), {"body": body})
         except MissingError:
             return False
         return True
 
     def _delete_comment(self, comment: int) -> None:
         try:
-            self.api.request("DELETE", f"/repos/{self.repository}/issues/comments/{comment}")
+            self.api.request("DELETE", self._comment_path(comment))
         except MissingError:  # another run has deleted it already
             return
 
@@ -186,8 +193,16 @@ class RunComments:
         return f"{self.workflow}/{name}"
 
 
-def run_comments(environment: Mapping[str, str], token: str | None, api_url: str | None) -> RunComments | None:
+def run_comments(
+    environment: Mapping[str, str],
+    token: str | None,
+    api_url: str | None,
+    api_kind: type[GitHubApi] = GitHubApi,
+    comments_kind: type[Comments] = Comments,
+) -> RunComments | None:
     """Return the comments on the pull request of the event; None if it has none that is open at this commit.
+
+    A forge with events of the same form gives the kinds of its API and its comments.
 
     Raises:
         InputError: there is no token, or it is refused, or the run has no number.
@@ -196,11 +211,11 @@ def run_comments(environment: Mapping[str, str], token: str | None, api_url: str
     if token is None:
         raise InputError("token: found none, expected ${{ github.token }} (on a command line: GITHUB_TOKEN)")
     event = GitHubEvent.from_environment(environment)
-    api = GitHubApi.open(token, api_url or environment.get("GITHUB_API_URL") or API_URL)
+    api = api_kind.open(token, api_url or environment.get("GITHUB_API_URL") or API_URL)
     number, run = pull_request_of(event, api), tested_run(event, environment)
     if number is None or event.repository is None:
         return None
-    return RunComments(Comments(api, event.repository, number), *run)
+    return RunComments(comments_kind(api, event.repository, number), *run)
 
 
 def pull_request_of(event: GitHubEvent, api: GitHubApi) -> int | None:
@@ -240,14 +255,15 @@ def tested_run(event: GitHubEvent, environment: Mapping[str, str]) -> tuple[str,
         run, attempt = (environment.get(f"GITHUB_RUN_{key}") for key in ("ID", "ATTEMPT"))
         name, commit = environment.get("GITHUB_WORKFLOW"), event.at("pull_request", "head", "sha")
         url = f"{environment.get('GITHUB_SERVER_URL')}/{event.repository}/actions/runs/{run}"
-    number = _parse_number(run, "GITHUB_RUN_ID"), _parse_number(attempt or 1, "GITHUB_RUN_ATTEMPT")
+    number = run_number(run, "GITHUB_RUN_ID"), run_number(attempt or 1, "GITHUB_RUN_ATTEMPT")
     return str(name), number, str(url), commit if isinstance(commit, str) else None
 
 
-def _parse_number(value: Any, variable: str) -> int:
+def run_number(value: Any, variable: str) -> int:
+    """Return a number that the runner gives, such as a run's; raises `InputError` if it is none."""
     text = str(value)
     if not text.isascii() or not text.isdigit() or len(text) > 18:
-        raise InputError(f"{variable}: found {text!r:.40}, expected the number of a run: is this a GitHub runner?")
+        raise InputError(f"{variable}: found {text!r:.40}, expected a number: is this a runner of the forge?")
     return int(text)
 
 

@@ -245,7 +245,9 @@ class Terminal:
         Raises:
             InputError: the service has no comments, or we do not know them.
         """
-        raise InputError("comment: this CI service has no comments that we can write, expected GitHub Actions")
+        raise InputError(
+            "comment: this CI service has no comments that we can write, expected GitHub, GitLab or Forgejo"
+        )
 
 
 def _plain_line(annotation: Annotation) -> str:
@@ -269,6 +271,8 @@ class Runner:
     """Whether debug logging is enabled on the runner."""
     pull_request: bool = False
     """Whether the run is for an unmerged pull request."""
+    findings_file: Path | None = None
+    """File for annotations as findings, where the service reads one."""
     stdout: TextIO = field(default_factory=lambda: sys.stdout, repr=False, compare=False)
     """Stream of the log and the service's commands."""
     stderr: TextIO = field(default_factory=lambda: sys.stderr, repr=False, compare=False)

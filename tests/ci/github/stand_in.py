@@ -4,10 +4,10 @@ import json
 import re
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import parse_qs, urlsplit
 
 REPOSITORY = "me/robot"
@@ -70,14 +70,17 @@ class GitHub:
         return 200, found[0], {}
 
 
+Service = TypeVar("Service", bound=GitHub)
+
+
 def _page(entries: list[dict[str, Any]], query: dict[str, list[str]]) -> list[dict[str, Any]]:
     size, page = int(query["per_page"][0]), int(query["page"][0])
     return entries[size * (page - 1) : size * page]
 
 
 @contextmanager
-def github() -> Iterator[GitHub]:
-    """Run the stand-in on this machine."""
+def stand_in(kind: type[Service]) -> Iterator[Service]:
+    """Run a stand-in on this machine."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
@@ -99,14 +102,14 @@ def github() -> Iterator[GitHub]:
             self.end_headers()
             self.wfile.write(text)
 
-        do_POST = do_PATCH = do_DELETE = do_GET  # noqa: N815 (their caller's names)
+        do_POST = do_PATCH = do_PUT = do_DELETE = do_GET  # noqa: N815 (their caller's names)
 
         def log_message(self, *_: object) -> None:
             pass
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     server.daemon_threads = True
-    service = GitHub(f"http://127.0.0.1:{server.server_port}")
+    service = kind(f"http://127.0.0.1:{server.server_port}")
     thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     thread.start()
     try:
@@ -115,3 +118,8 @@ def github() -> Iterator[GitHub]:
         server.shutdown()
         server.server_close()
         thread.join()
+
+
+def github() -> AbstractContextManager[GitHub]:
+    """Run GitHub's stand-in on this machine."""
+    return stand_in(GitHub)

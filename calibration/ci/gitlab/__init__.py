@@ -1,0 +1,1 @@
+"""GitLab CI as a CI service, and the one note on a merge request."""
