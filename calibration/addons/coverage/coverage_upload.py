@@ -40,6 +40,7 @@ from calibration.base.text import one_line
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from calibration.ci.report import FILES, publish, remove_results
+from calibration.ci.report.results_json import BRIEF_FILE
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, add_mask, set_outputs
 from calibration.ci.workflow.runner import Event
@@ -150,7 +151,7 @@ def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
     """
     if settings.output is not None:
         uploads = [file.name for file in settings.output.glob("upload-*.json")]
-        remove_results(settings.output, (*FILES, LCOV_FILE, "tests.xml", "tests.log", LOG_FILE, *uploads))
+        remove_results(settings.output, (*FILES, BRIEF_FILE, LCOV_FILE, "tests.xml", "tests.log", LOG_FILE, *uploads))
     _check_settings(settings)
     settings = replace(settings, service=settings.service or "none")
     repository = Repository.around(settings.directory)
