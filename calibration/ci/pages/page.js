@@ -12,7 +12,7 @@ for (const table of document.querySelectorAll("table.sortable")) {
       head.setAttribute("aria-sort", falling ? "descending" : "ascending");
       const value = (row) => row.cells[column]?.textContent ?? "";
       const compare = (a, b) => {
-        const [x, y] = [parseFloat(value(a)), parseFloat(value(b))];
+        const [x, y] = [a, b].map((row) => parseFloat(value(row).replace(/^±\s*/, "")));
         return Number.isNaN(x) || Number.isNaN(y) ? value(a).localeCompare(value(b)) : x - y;
       };
       const rows = [...table.tBodies[0].rows].sort(compare);
