@@ -20,7 +20,7 @@ rooms = $(patsubst tests/%/__init__.py,%,$(wildcard tests/*/__init__.py tests/*/
 engine_tests = $(addprefix tests/engine/,geometry dataset estimation evaluation comparison) tests/robot/labelling tests/robot/simulation/rendering
 opencv_tests = $(addprefix tests/,engine/dataset/test_depth_image.py engine/dataset/test_reading.py engine/comparison robot/labelling robot/simulation/rendering)
 
-.PHONY: help run check lint test test-coverage fuzz faults bench bench-table lock test-versions actions pictures docs aws-example clean
+.PHONY: help run check lint test test-coverage fuzz faults bench bench-table lock test-versions actions pictures docs dist image owner aws-example clean
 
 help: ## this list
 	@sed -nE 's/^([a-z-]+):.*## (.*)/\1\t\2/p' Makefile | expand -t 16
@@ -134,6 +134,27 @@ pictures: ## draw the pictures of the README, docs/recording.svg and the maps of
 docs: ## the documentation as a site, in build/site (ARGS=serve shows it while one writes)
 	@$(setup) dev.txt .
 	@NO_MKDOCS_2_WARNING=1 $(python) -m mkdocs $(or $(ARGS),build --quiet)
+
+dist: ## the wheel and the source archive in dist/, by the build backend of the lock
+	@$(setup) uv.txt
+	rm -rf dist
+	'$(uv)' build --quiet --build-constraint requirements/dev.txt --require-hashes --no-create-gitignore --out-dir dist .
+
+# What the actions install is what is in it, by their lock.
+image: ## a container image of the wheel in dist/, with all commands: IMAGE=..., ARGS='--build-arg BASE=...'
+	@[ -n '$(IMAGE)' ] && ls dist/*.whl >/dev/null || { echo 'make dist, then: make image IMAGE=NAME:TAG' >&2; exit 2; }
+	rm -rf build/image
+	mkdir -p build/image
+	cp dist/*.whl examples/aws-batch/Dockerfile build/image
+	sed -nE 's/^([a-z0-9].*[^ ]) +\\$$/\1/p' requirements/run.txt >build/image/constraints.txt
+	docker build --tag '$(IMAGE)' --build-arg EXTRAS='$(image_extras)' \
+	  --build-arg SOURCE=file:///context/$$(cd dist; ls *.whl) $(ARGS) build/image
+image_extras := calibrate,opencv,bags,xacro,figures,containers,aws,analysis,requirements,delivery
+
+owner: ## OWNER=team: whose this repository is on GitHub, in every file that says it
+	@[[ '$(OWNER)' =~ ^[A-Za-z0-9-]+$$ ]] || { echo 'make owner OWNER=NAME: the name of a user or an organisation' >&2; exit 2; }
+	@now=$$(sed -nE 's|^DEFAULT_SUITE = "(.*)/calibration-ci@v1"$$|\1|p' calibration/commands/init.py); \
+	git grep -lIE "\<$$now/calibration-ci\>|@$$now\>" | xargs perl -pi -e "s{\b$$now(?=/calibration-ci\b)|(?<=@)$$now\b}{$(OWNER)}g"
 
 aws-example: ## scenarios on an emulated AWS Batch, in real containers, without an account (IMAGE=one with calibration-ci in it)
 	@$(setup) dev.txt .

@@ -15,6 +15,7 @@ from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import FirstConfiguration, first_configuration
 
 DEFAULT_SUITE = "OWNER/calibration-ci@v1"
+"""`make owner OWNER=NAME` puts a name in the place of OWNER, here and wherever else it stands."""
 CONFIGURATION_FILE = Path("calibration.yml")
 
 
@@ -65,7 +66,7 @@ def _messages_of_init(
         return
     word = "fails as it is" if first.reasons else "is undecided" if first.undecided else "passes"
     yield f"{configuration}, {workflow}: written; {first.name} {word}"
-    if suite == DEFAULT_SUITE:
+    if suite.startswith("OWNER/"):
         yield f"{workflow}: put the owner of your copy of the suite in the place of OWNER"
     if word == "passes":
         commit = f"commit these, {dataset} and calibration-baseline.json"

@@ -15,6 +15,7 @@ import yaml
 
 from benchmarks.action_start import INPUTS
 from calibration.base.records import read
+from calibration.commands.init import DEFAULT_SUITE
 from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 from calibration.robot.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
@@ -22,6 +23,7 @@ from tests.lint.documents import made_whole, yaml_blocks
 from .write_inputs import COMMENT, FILES, PAGES, SHOWN, described_keys, options, schema_file, with_inputs, with_parts
 
 PROJECT = Path(__file__).resolve().parents[2]
+SUITE = DEFAULT_SUITE.partition("@")[0]
 LOCKS = {path.name: path.read_text() for path in (PROJECT / "requirements").glob("*.txt")}
 
 
@@ -256,7 +258,7 @@ def test_examples_call_the_reusable_workflow_right(examples: list[Any]) -> None:
     jobs = [job for example in examples if "jobs" in example for job in example["jobs"].values() if "uses" in job]
     assert jobs
     for job in jobs:
-        assert job["uses"] == "OWNER/calibration-ci/.github/workflows/pipeline.yml@v1"
+        assert job["uses"] == f"{SUITE}/.github/workflows/pipeline.yml@v1"
         assert set(job.get("with", {})) <= set(called["inputs"])
         assert set(job.get("secrets", {})) <= set(called["secrets"])
 
@@ -266,10 +268,10 @@ def test_every_action_has_an_example_and_each_is_right(examples: list[Any]) -> N
     steps += [s for e in examples if "jobs" in e for job in e["jobs"].values() for s in job.get("steps", [])]
     used = set()
     for step in steps:
-        if step.get("uses", "").startswith("OWNER/"):
+        if step.get("uses", "").startswith(SUITE):
             path, _, tag = step["uses"].partition("@")
             name = path.partition("/actions/")[2] or "run"
-            assert (path, tag) == ("OWNER/calibration-ci" + (f"/actions/{name}" if name != "run" else ""), "v1")
+            assert (path, tag) == (SUITE + (f"/actions/{name}" if name != "run" else ""), "v1")
             assert set(step.get("with", {})) <= {*options(name), *(COMMENT if name == "run" else ())}
             used.add(name)
     assert used == set(FILES)

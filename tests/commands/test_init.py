@@ -73,7 +73,7 @@ def test_every_limit_has_a_reason(repository: Path) -> None:
 
 def test_what_is_left_to_do_is_said(repository: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bring(repository, "t2rgb")
-    assert main(["init", "--dataset", "data/t2rgb"]) == 0
+    assert main(["init", "--dataset", "data/t2rgb", "--suite", "OWNER/suite@v1"]) == 0
     said = capsys.readouterr().out
     assert "calibration.yml: put the owner of your copy of the suite in the place of OWNER" in said
     assert "then commit these, data/t2rgb and calibration-baseline.json" in said

@@ -1,9 +1,13 @@
 """What every workflow and every action of the project keeps to."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
+
+from calibration.commands.init import DEFAULT_SUITE
+from tests.repositories import needs_git
 
 from .yaml_lines import ACTIONS, PROJECT, WORKFLOWS, entries
 
@@ -18,6 +22,17 @@ def file(request: pytest.FixtureRequest) -> Path:
 def test_all_are_looked_at() -> None:
     assert {path.name for path in WORKFLOWS} >= {"pipeline.yml", "push.yml", "checks.yml", "release.yml"}
     assert len(ACTIONS) >= 8
+
+
+def test_all_say_the_same_owner() -> None:
+    """Of this repository on GitHub: `make owner` replaces it."""
+    needs_git()
+    places = ("--", ".github", "actions", "calibration", "docs", "examples", "README.md", "mkdocs.yml")
+    ours = r"((?<=github\.com/)|(?<![\w./-]))[\w-]+/calibration-ci(?![\w-])|(?<=^\* @).*"  # not in a registry
+    command = ["git", "grep", "-hoIP", ours, *places]
+    said = set(subprocess.check_output(command, cwd=PROJECT, text=True).split())
+    repository = DEFAULT_SUITE.partition("@")[0]
+    assert said == {repository, repository.partition("/")[0]}
 
 
 def test_no_script_holds_a_template_expression(file: Path) -> None:

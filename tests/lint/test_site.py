@@ -9,10 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from calibration.commands.init import DEFAULT_SUITE
+
 from .yaml_lines import PROJECT
 
 REQUESTED = {"img": "src", "script": "src", "iframe": "src", "link": "href"}
 """What a browser asks for by itself, by tag; `link` also says what the page is about."""
+REPOSITORY = f"https://github.com/{DEFAULT_SUITE.partition('@')[0]}"
 PAGES = {page.name for page in (PROJECT / "docs").glob("*.md")}
 
 
@@ -55,12 +58,12 @@ def test_every_page_is_there_and_found(site: Path) -> None:
 
 def test_a_page_asks_no_other_server_but_for_pictures_of_the_repository(site: Path) -> None:
     elsewhere = {address for page in site.glob("*.html") for address in requests(page) if ":" in address}
-    assert {address for address in elsewhere if not address.startswith(("data:", "https://github.com/OWNER/"))} == set()
+    assert {address for address in elsewhere if not address.startswith(("data:", f"{REPOSITORY}/"))} == set()
 
 
 def test_links_out_of_the_pages_lead_to_files_of_the_repository(site: Path) -> None:
     links = re.findall(
-        r'"https://github.com/OWNER/calibration-ci/(?:blob|raw)/main/([^"#]+)',
+        rf'"{REPOSITORY}/(?:blob|raw)/main/([^"#]+)',
         "".join(page.read_text() for page in site.glob("*.html")),
     )
     assert "calibration/pipeline/results.schema.json" in links

@@ -129,6 +129,7 @@ class GitHubEvent:
 WORKFLOW_FILE = Path(".github", "workflows", "calibration.yml")
 _WORKFLOW_TEXT = """\
 # Written by `calibration init`: calibrates what calibration.yml names, on every push and pull request.
+# Jobs need Python 3.11. A container of ROS 2 Humble has 3.10: python3 -m pip install uv && uv python install 3.11
 name: Calibration
 on:
   push: {{branches: [main]}}
