@@ -22,6 +22,7 @@ WORKFLOW, ACTION = "vendor.github-workflows", "vendor.github-actions"
 DOCUMENTS = {
     WORKFLOW: WORKFLOWS,
     ACTION: ACTIONS,
+    "vendor.github-issue-forms": [*PROJECT.glob(".github/ISSUE_TEMPLATE/*-*.yml")],
     "calibration.yml": [
         PROJECT / "calibration.yml",
         *PROJECT.glob("examples/*/calibration.yml"),
