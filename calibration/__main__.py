@@ -42,6 +42,7 @@ _HELP_OF_COMMAND = {
     "gather-results": "Merge the results of a workflow's jobs.",
     "comment": "Keep one comment on a pull request up to date.",
     "look": "Look at a recording: what is in it, and what is missing for a calibration.",
+    "watch": "Watch images arrive: which views are used, how good the calibration is, and what to show next.",
     "import-data": "Make a dataset of recorded images and poses.",
     "label": "Find the patterns in the images of a dataset.",
     "init": "Write a first calibration.yml and workflow.",

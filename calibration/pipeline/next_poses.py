@@ -87,7 +87,7 @@ def advise(
     if candidates.without_limits and len(candidates):
         names = ", ".join("-".join(edge) for edge in candidates.without_limits)
         remarks = (f"no joint limits are known of {names}: the poses are near those of the recording",)
-    return replace(_described(advice, candidates, system, remarks), recording=loaded.dataset)
+    return replace(described_advice(advice, candidates, system, remarks), recording=loaded.dataset)
 
 
 def plan(system: System, limits: Limits, options: Options, count: int | None, seed: int) -> AdvisedPoses:
@@ -96,16 +96,25 @@ def plan(system: System, limits: Limits, options: Options, count: int | None, se
     Raises:
         InputError: nothing moves, or no pose is seen by every sensor.
     """
-    return _described(*plan_recording(system, limits, options.assume, count, seed), system, planned=True)
+    return described_advice(*plan_recording(system, limits, options.assume, count, seed), system, planned=True)
 
 
-def _described(
+def described_advice(
     advice: Advice,
     candidates: PoseCandidates,
     system: System | None,
     remarks: tuple[str, ...] = (),
     planned: bool = False,
 ) -> AdvisedPoses:
+    """Return advice in words and numbers, with the poses that it is about.
+
+    Args:
+        advice: the advice.
+        candidates: the poses among which it chose.
+        system: what the recording was simulated with, if it was.
+        remarks: what was not known.
+        planned: whether nothing is recorded yet.
+    """
     chosen = [each.candidate for each in advice.poses]
     found = NextPoses(
         _goals_found(advice, planned),

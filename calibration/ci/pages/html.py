@@ -98,14 +98,21 @@ _SECURITY_POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'u
 """Content security policy: no external resources."""
 
 
-def page(title: str, sections: list[Html]) -> str:
-    """Return a self-contained page: the same bytes for the same sections."""
+def page(title: str, sections: list[Html], refresh: int | None = None) -> str:
+    """Return a self-contained page: the same bytes for the same sections.
+
+    Args:
+        title: of the page.
+        sections: its content.
+        refresh: seconds after which a browser reads it again; never by default.
+    """
     style, script = (_file_of_page(name) for name in ("page.css", "page.js"))
     head = join(
         [
             element("meta", charset="utf-8"),
             element("meta", name="viewport", content="width=device-width, initial-scale=1"),
             element("meta", http_equiv="Content-Security-Policy", content=_SECURITY_POLICY),
+            *([] if refresh is None else [element("meta", http_equiv="refresh", content=str(refresh))]),
             element("title", title),
             Html(f"<style>\n{style}</style>"),
         ]

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from calibration.base.records import field, result
+from calibration.base.text import count_of
 from calibration.engine.baseline.calibration_document import PromiseDocument
 from calibration.engine.next_pose.advice import MAX_NEEDED, WORTH_TAKING
 from calibration.engine.tasks.robot_task import TaskUnit
@@ -95,7 +96,7 @@ class NextPoses:
                 return "enough: all limits hold"
             brings = max((1 - size / goal.now if goal.now else 0.0 for size, goal in self._last), default=0.0)
             size = "less than 5 %" if brings < WORTH_TAKING else f"{brings:.0%}"
-            return f"enough: all limits hold; {len(self.poses)} further poses would bring {size}"
+            return f"enough: all limits hold; {count_of(len(self.poses), 'further pose')} would bring {size}"
         worst = max(self.open_goals, key=lambda k: self.goals[k].least / self.goals[k].wanted)
         goal = self.goals[worst]
         if not self.poses:

@@ -62,7 +62,7 @@ from calibration.robot.importing.files.pictures import Moment, Pictures, find_pi
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.patterns.contact_sheet import contact_sheet
-from calibration.robot.importing.patterns.image_views import LabelledMoment, check_copies, view_of_file
+from calibration.robot.importing.patterns.image_views import LabelledMoment, View, check_copies, view_of_file
 from calibration.robot.importing.patterns.near_miss import check_told_apart
 from calibration.robot.importing.recorded import Recorded, best_moments, check_seen, check_views, imported_moments
 from calibration.robot.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
@@ -109,19 +109,12 @@ def import_data(
     refuse_existing(output, overwrite)
     described = read_description(config)
     robot = described.robot or config.resolve().parent.name
-    lenses = {
-        each.name: read_lens(each.intrinsics, each.camera, each.model) for each in described.sensors if each.intrinsics
-    }
-    models = {
-        each.name: known_model(config, each.model) for each in described.sensors if each.model and not each.intrinsics
-    }
+    lenses, models = described_lenses(config, described)
     if described.samples is not None and not any(each.images for each in described.sensors):
         samples = read_samples(described.samples, described.in_hand)
         if not any(each.image for each in samples) and samples[0].T_camera_pattern is not None:
             return _import_poses(described, robot, samples, output, overwrite)
-    for pattern in described.patterns:
-        if not pattern.is_printed:
-            raise InputError(f"{config}: patterns/{pattern.name}: missing key 'type', or 'target': images are given")
+    check_printed_patterns(config, described)
     with (
         _opened_source(described, lenses) as source,
         workspace(output, source.identity, text_of, source.decode) as work,
@@ -132,23 +125,51 @@ def import_data(
         recorded = replace(source.finish(seen, work.folder, jobs), models=models)
         check_views(recorded)
         imported = imported_moments(robot, recorded)
-        with replacing_dataset(output, overwrite) as new:
-            for key, moment in zip(imported.keys, imported.moments, strict=True):
-                for name, view in moment.views.items():
-                    link_or_copy(Path(view.file), new / data_file(name, key, view.file))
-            for key, ranges in zip(imported.keys, imported.ranges, strict=True):
-                for name, each in ranges.items():
-                    if each.view.file is not None:
-                        link_or_copy(each.view.file, new / data_file(name, key, each.view.file.name))
-            views = [
-                (f"{key} {name}", view)
-                for key, moment in zip(imported.keys, imported.moments, strict=True)
-                for name, view in moment.views.items()
-            ]
-            write_atomically(new / SHEET, contact_sheet(views, imported.configuration.patterns))
-            write_document(dataset_document(imported), new / FILE_NAME)
-            read_dataset(new)
+        write_dataset(imported, output, overwrite)
     return _import_results(imported, recorded)
+
+
+def described_lenses(config: Path, described: ImportDescription) -> tuple[dict[str, KnownLens], dict[str, str]]:
+    """Return the known intrinsics, and the lens models that are chosen for the others, by camera.
+
+    Raises:
+        InputError: a file of intrinsics or the name of a model is wrong.
+    """
+    cameras = described.sensors
+    lenses = {each.name: read_lens(each.intrinsics, each.camera, each.model) for each in cameras if each.intrinsics}
+    models = {each.name: known_model(config, each.model) for each in cameras if each.model and not each.intrinsics}
+    return lenses, models
+
+
+def check_printed_patterns(config: Path, described: ImportDescription) -> None:
+    """Refuse patterns that cannot be detected in images.
+
+    Raises:
+        InputError: names the first.
+    """
+    for pattern in described.patterns:
+        if not pattern.is_printed:
+            raise InputError(f"{config}: patterns/{pattern.name}: missing key 'type', or 'target': images are given")
+
+
+def write_dataset(imported: Imported, output: Path, overwrite: bool) -> None:
+    """Write a dataset with its images and clouds, and a sheet of them."""
+    views = [
+        (key, name, view)
+        for key, moment in zip(imported.keys, imported.moments, strict=True)
+        for name, view in moment.views.items()
+    ]
+    with replacing_dataset(output, overwrite) as new:
+        for key, name, view in views:
+            link_or_copy(Path(view.file), new / data_file(name, key, view.file))
+        for key, ranges in zip(imported.keys, imported.ranges, strict=True):
+            for name, each in ranges.items():
+                if each.view.file is not None:
+                    link_or_copy(each.view.file, new / data_file(name, key, each.view.file.name))
+        shown = [(f"{key} {name}", view) for key, name, view in views]
+        write_atomically(new / SHEET, contact_sheet(shown, imported.configuration.patterns))
+        write_document(dataset_document(imported), new / FILE_NAME)
+        read_dataset(new)
 
 
 def _import_poses(
@@ -159,7 +180,7 @@ def _import_poses(
     overwrite: bool,
 ) -> ImportResults:
     """Import pairs of poses, of an arm and of the pattern measured by a camera."""
-    patterns = _pattern_configurations(described)
+    patterns = pattern_configurations(described)
     (sensor, *other), (pattern, *more) = described.sensors, patterns
     if other or more or described.samples is None:
         raise InputError(
@@ -213,7 +234,12 @@ def _opened_source(described: ImportDescription, lenses: Mapping[str, KnownLens]
         yield (_from_videos if described.has_videos else _from_images)(described, lenses)
 
 
-def _pattern_configurations(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
+def pattern_configurations(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
+    """Return the patterns by name.
+
+    Raises:
+        InputError: a description is wrong, or two cannot be told apart.
+    """
     bodies = [each.name for each in described.bodies]
     patterns = {
         each.name: replace(
@@ -227,9 +253,10 @@ def _pattern_configurations(described: ImportDescription, root: str | None = Non
 
 
 def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    patterns = _pattern_configurations(described)
+    patterns = pattern_configurations(described)
     configuration = _calibration_configuration(described, patterns)
-    moments, transforms, left_out = _moments_and_transforms(described, configuration)
+    pictures = _pictures_of(described)
+    moments, transforms, left_out = _moments_and_transforms(described, configuration, pictures)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def label(moment: Moment) -> LabelledMoment:
@@ -239,28 +266,14 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
     def finish(seen: Sequence[LabelledMoment], folder: Path, _: int | None) -> Recorded:
         for name in configuration.sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
-        lag = max(moment.lag for moment in moments)
-        known = _given_poses(described, configuration, 1)
-        placed = with_baselines(
-            _with_known_patterns(transforms, described, configuration), configuration, lenses, known
-        )
         ranges = [
             _clouds_of_moment(moment, i, folder, configuration)
             if any(view.labelled for view in labelled.views.values())
             else {}
             for i, (moment, labelled) in enumerate(zip(moments, seen, strict=True))
         ]
-        return Recorded(
-            configuration,
-            lenses,
-            seen,
-            placed,
-            rough=True,
-            searched=len(seen),
-            lag=lag,
-            ranges=ranges,
-            left_out=tuple(left_out),
-        )
+        recorded = _recorded_images(described, configuration, lenses, moments, seen, transforms)
+        return replace(recorded, ranges=ranges, left_out=tuple(left_out))
 
     return _Source(
         _hash_of_label_inputs(patterns, [path for moment in moments for path in moment.files.values()]),
@@ -270,8 +283,45 @@ def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
     )
 
 
+def recorded_views(
+    described: ImportDescription,
+    lenses: Mapping[str, KnownLens],
+    pictures: Sequence[Pictures],
+    views: Mapping[Path, View],
+) -> Recorded:
+    """Return what was recorded by cameras whose images are labelled already.
+
+    Args:
+        described: the description of the cameras and patterns.
+        lenses: known intrinsics.
+        pictures: images of each camera, sorted by number.
+        views: the labels of each of them.
+
+    Raises:
+        InputError: images of the cameras do not belong together, or not to the samples.
+    """
+    configuration = _calibration_configuration(described, pattern_configurations(described))
+    moments, transforms, _ = _moments_and_transforms(described, configuration, pictures)
+    seen = [LabelledMoment({name: views[file] for name, file in moment.files.items()}) for moment in moments]
+    return _recorded_images(described, configuration, lenses, moments, seen, transforms)
+
+
+def _recorded_images(
+    described: ImportDescription,
+    configuration: Configuration,
+    lenses: Mapping[str, KnownLens],
+    moments: Sequence[Moment],
+    seen: Sequence[LabelledMoment],
+    transforms: Mapping[Edge, Array],
+) -> Recorded:
+    known = _given_poses(described, configuration, 1)
+    placed = with_baselines(_with_known_patterns(transforms, described, configuration), configuration, lenses, known)
+    lag = max(moment.lag for moment in moments)
+    return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag)
+
+
 def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    patterns = _pattern_configurations(described)
+    patterns = pattern_configurations(described)
     configuration, sampled = _calibration_configuration(described, patterns), described.videos or Videos()
     chosen = sampled.moments
     videos = survey_videos(described.sensors)
@@ -329,7 +379,7 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
     found = survey(bag, described)
     where = str(bags.files[0])
     root = root_of(described, found)
-    patterns = _pattern_configurations(described, root)
+    patterns = pattern_configurations(described, root)
     described = replace(described, world=root)
     mounted = mounting(described, patterns, found, where)
     bag_lenses = {
@@ -449,14 +499,18 @@ def _sensor_configuration(described: SensorDescription, world: str, modality: Mo
     return SensorConfiguration(described.name, modality.name, described.link, parent, described.link)
 
 
-def _moments_and_transforms(
-    described: ImportDescription, configuration: Configuration
-) -> tuple[Sequence[Moment], Mapping[Edge, Array], Sequence[LeftOut]]:
-    """Return the images of each moment, the transforms (N, 4, 4) at that time, and what is left out."""
+def _pictures_of(described: ImportDescription) -> list[Pictures]:
+    """Return the images of the cameras and the clouds of the LiDARs."""
     pictures = [find_pictures(each.name, each.images) for each in described.sensors if each.images]
-    pictures += [
+    return pictures + [
         find_pictures(each.name, each.clouds, CLOUD_ENDINGS, "point cloud") for each in described.sensors if each.clouds
     ]
+
+
+def _moments_and_transforms(
+    described: ImportDescription, configuration: Configuration, pictures: Sequence[Pictures]
+) -> tuple[Sequence[Moment], Mapping[Edge, Array], Sequence[LeftOut]]:
+    """Return the images of each moment, the transforms (N, 4, 4) at that time, and what is left out."""
     arm: dict[Edge, Array] = {}
     left_out: Sequence[LeftOut] = ()
     if described.samples is None:

@@ -67,7 +67,7 @@ def find_pictures(sensor: str, place: str, endings: Sequence[str] = IMAGE_ENDING
         raise InputError(f"{place}: found no {what} of '{sensor}', expected files that end in {', '.join(endings)}")
     if len(files) > MOST_IMAGES:
         raise InputError(f"{place}: found {len(files)} files of '{sensor}', expected {MOST_IMAGES} at most")
-    return Pictures(sensor, place, tuple(sorted(files, key=_in_order)))
+    return Pictures(sensor, place, tuple(sorted(files, key=order_by_number)))
 
 
 def moments_of(pictures: Sequence[Pictures], pairs: Pairs = None) -> list[Moment]:
@@ -95,7 +95,8 @@ def moments_of(pictures: Sequence[Pictures], pairs: Pairs = None) -> list[Moment
     return _moments_of_keys(pictures, [_by_last_number(each) for each in pictures], "number")
 
 
-def _in_order(path: Path) -> tuple[list[int], str]:
+def order_by_number(path: Path) -> tuple[list[int], str]:
+    """Return the key by which images are sorted: the last number in their names, and the names."""
     return [int(number) for number in _NUMBER_IN_NAME.findall(path.stem)[-1:]], path.name
 
 

@@ -1,0 +1,179 @@
+"""Images that arrive: which are used, what is waited for, what goes on, and how it ends."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from calibration.__main__ import main
+from calibration.engine.dataset.configuration import PatternConfiguration
+from calibration.engine.dataset.model import CornerLabels
+from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.geometry.transforms import apply, from_xyz_rpy
+from calibration.pipeline.watching import WatchedRecording
+from calibration.robot.importing.watch import judging
+from calibration.robot.importing.watch.arrivals import Arrivals
+from calibration.robot.importing.watch.judging import tilt_of
+from tests.robot.importing.conftest import change
+
+BOARD = PatternConfiguration(
+    "board", "charuco", "b", "w", False, (11, 8), 0.06, 0.045, (0, 0), "DICT_5X5_100"
+).pattern()
+
+
+def names_of(arrivals: Arrivals) -> list[str]:
+    return [each.path.name for each in arrivals.poll()]
+
+
+def lines_of(recording: WatchedRecording) -> list[str]:
+    """What is said of what has arrived: it is taken at the second look."""
+    return [*recording.next_lines(), *recording.next_lines()]
+
+
+def only_first(folder: Path) -> WatchedRecording:
+    """A recording with one image of one camera."""
+    for number in range(1, 6):
+        (folder / "left_camera" / f"{number}.jpg").rename(folder / f"{number}.jpg")
+    shutil.rmtree(folder / "right_camera")
+    change(folder, "sensors", "right_camera", to=None)
+    recording = WatchedRecording(folder, Limits())
+    assert ": used: " in lines_of(recording)[0]
+    return recording
+
+
+def test_a_file_is_taken_once_when_it_is_written(tmp_path: Path) -> None:
+    arrivals = Arrivals({"left": str(tmp_path)})
+    file, started = tmp_path / "a.png", tmp_path / "b.png"
+    file.write_bytes(b"1")
+    started.touch()
+    (tmp_path / "notes.txt").write_text("no image")
+    (tmp_path / "folder.png").mkdir()
+    assert names_of(arrivals) == []
+    file.write_bytes(b"12")
+    assert names_of(arrivals) == []
+    assert names_of(arrivals) == ["a.png"]
+    assert names_of(arrivals) == []
+
+
+def test_a_refused_file_is_taken_again_once_it_is_changed(tmp_path: Path) -> None:
+    arrivals = Arrivals({"left": str(tmp_path / "*.png")})
+    file = tmp_path / "a.png"
+    file.write_bytes(b"1")
+    found = arrivals.poll() + arrivals.poll()
+    arrivals.refuse(found[0])
+    assert arrivals.poll() == []
+    file.write_bytes(b"12")
+    assert arrivals.poll() == []
+    assert names_of(arrivals) == ["a.png"]
+
+
+def test_a_folder_that_vanishes_is_waited_for(tmp_path: Path) -> None:
+    folder = tmp_path / "left"
+    folder.mkdir()
+    arrivals = Arrivals({"left": str(folder)})
+    (folder / "a.png").write_bytes(b"1")
+    arrivals.poll()
+    (arrival,) = arrivals.poll()
+    folder.rename(tmp_path / "gone")
+    assert arrivals.is_gone(arrival)
+    assert arrivals.poll() == []
+    assert str(folder) in arrivals.faults["left"]
+    (tmp_path / "gone").rename(folder)
+    arrivals.poll()
+    assert names_of(arrivals) == ["a.png"]
+    assert not arrivals.faults
+
+
+def test_tilt_by_foreshortening() -> None:
+    """Of a pinhole camera, to a few degrees; corners in one line tell nothing."""
+    ids = np.arange(len(BOARD.corners))
+    for tilt in (0.0, 30.0, 60.0):
+        points = apply(from_xyz_rpy([0, 0, 3], [np.radians(tilt), 0, 0.4]), BOARD.corners - BOARD.centre)
+        pixels = 600 * points[:, :2] / points[:, 2:]
+        assert tilt_of(BOARD, CornerLabels(ids, pixels)) == pytest.approx(tilt, abs=8)
+    assert tilt_of(BOARD, CornerLabels(ids[:11], pixels[:11])) == 90
+
+
+@pytest.mark.parametrize(
+    ("kind", "edit"),
+    [
+        ("same as before", lambda image: np.roll(image, 2, axis=1)),
+        ("blurred", lambda image: cv2.GaussianBlur(image, (0, 0), 1.7)),
+        ("too oblique", lambda image: image),
+        ("other size", lambda image: image[:400]),
+        ("no pattern", np.zeros_like),
+    ],
+)
+def test_a_view_that_is_not_used(stereo: Path, monkeypatch: pytest.MonkeyPatch, kind: str, edit: object) -> None:
+    assert callable(edit)
+    recording = only_first(stereo)
+    image = np.asarray(edit(cv2.imread(str(stereo / ("left_camera/0.jpg" if kind == "same as before" else "3.jpg")))))
+    monkeypatch.setattr(judging, "MAX_TILT", 15 if kind == "too oblique" else 65)  # it is tilted by 21
+    cv2.imwrite(str(stereo / "left_camera" / "new.png"), image)
+    (line,) = lines_of(recording)
+    assert line.startswith("left_camera new.png: not used: ")
+    assert recording.judge.counts == {"": 1, kind: 1}
+
+
+def test_one_that_is_no_image_and_later_is_one(stereo: Path) -> None:
+    recording = only_first(stereo)
+    late = stereo / "left_camera" / "late.jpg"
+    late.write_bytes((stereo / "1.jpg").read_bytes()[:300])
+    assert ": not used: " in lines_of(recording)[0]
+    shutil.copy(stereo / "1.jpg", late)
+    assert ": used: " in lines_of(recording)[0]
+    assert recording.judge.counts == {"": 2}
+
+
+def test_a_whole_recording(stereo: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Error bars, the next pose, the page, and a dataset of the used views."""
+    (stereo / "left_camera" / "99.png").write_bytes(b"no image")
+    out = stereo / "out"
+    arguments = ["watch", str(stereo), "--translation-mm", "2", "--idle", "0.3", "--output", str(out)]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert said.count(": used: ") == 12
+    assert "99.png: not used: " in said
+    assert "6 collections: right_camera" in said
+    assert "next: 1. hold the board" in said
+    assert len(read_dataset(out).collections) == 6
+    assert 'http-equiv="refresh"' in (stereo / "watch.html").read_text()
+    assert main(arguments) == 2
+    assert main(["calibrate-matrix", "--dataset", str(out), "--output", str(stereo / "cells")]) == 0
+
+
+def test_ctrl_c_ends_with_a_summary(
+    stereo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stop(_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(time, "sleep", stop)
+    assert main(["watch", str(stereo / "import.yml")]) == 1
+    assert "import-data --config" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("keys", "to"),
+    [
+        (("sensors", "left_camera", "images"), "nowhere"),
+        (("sensors", "left_camera", "images"), "left.mp4"),
+        (("sensors", "left_camera", "images"), None),
+        (("patterns", "board"), {}),
+        (("patterns",), None),
+        (("bags",), {"files": ["a.bag"]}),
+    ],
+)
+def test_what_cannot_be_watched(stereo: Path, keys: tuple[str, ...], to: object) -> None:
+    change(stereo, *keys, to=to)
+    assert main(["watch", str(stereo)]) == 2
+
+
+@pytest.mark.parametrize("name", ["nowhere", ".", "import.txt"])
+def test_no_description(tmp_path: Path, name: str) -> None:
+    assert main(["watch", os.fspath(tmp_path / name)]) == 2
