@@ -17,12 +17,13 @@ from calibration.commands.schema import SHIPPED_SCHEMAS
 from .yaml_lines import ACTIONS, PROJECT, WORKFLOWS
 
 CHECK = Path(sys.executable).with_name("check-jsonschema")
-WORKFLOW, ACTION = "vendor.github-workflows", "vendor.github-actions"
+WORKFLOW, ACTION, GITLAB = "vendor.github-workflows", "vendor.github-actions", "vendor.gitlab-ci"
 
 DOCUMENTS = {
     WORKFLOW: WORKFLOWS,
     ACTION: ACTIONS,
     "vendor.github-issue-forms": [*PROJECT.glob(".github/ISSUE_TEMPLATE/*-*.yml")],
+    GITLAB: [],  # blocks of pages only: a component has two documents in its file
     "calibration.yml": [
         PROJECT / "calibration.yml",
         *PROJECT.glob("examples/*/calibration.yml"),
@@ -36,6 +37,8 @@ DOCUMENTS = {
 
 READMES = [PROJECT / "README.md", *PROJECT.glob("examples/*/README.md"), *PROJECT.glob("docs/*.md")]
 PARTS = {
+    "include": (GITLAB, lambda part: part),
+    "calibration": (GITLAB, lambda part: part),
     "uses": (WORKFLOW, lambda part: {"on": "push", "jobs": {"job": {"runs-on": "ubuntu-latest", "steps": part}}}),
     "jobs": (WORKFLOW, lambda part: {"on": "push", **part}),
     **{

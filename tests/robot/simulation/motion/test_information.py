@@ -20,7 +20,9 @@ from calibration.robot.simulation.motion.information import (
     expected_noise,
     information,
     predicted_sigmas,
-    true_values,
+)
+from calibration.robot.simulation.motion.information import (
+    true_values as values_of_information,
 )
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import place
@@ -191,7 +193,7 @@ def test_the_poses_add_up_to_what_the_engine_knows(
     placement = place(system, motion)
     found = information(system, placement)
     problem, noise = found.setup.problem, expected_noise(system)
-    equations = assemble(problem, true_values(system, found.setup, placement, found.poses), noise)
+    equations = assemble(problem, values_of_information(system, found.setup, placement, found.poses), noise)
     np.testing.assert_allclose(
         found.each.sum(0), equations.schur, rtol=1e-9, atol=1e-12 * np.abs(equations.schur).max()
     )
@@ -220,7 +222,7 @@ def test_half_the_noise_has_four_times_the_information(systems: dict[str, System
     system = systems["riwbot"]
     placement = place(system, motions["riwbot"])
     found = information(system, placement)
-    values, noise = true_values(system, found.setup, placement, found.poses), expected_noise(system)
+    values, noise = values_of_information(system, found.setup, placement, found.poses), expected_noise(system)
     assert noise.scales["pixel"] == CORNER_NOISE
     sharper = replace(noise, scales={**noise.scales, "pixel": CORNER_NOISE / 2})
     np.testing.assert_allclose(informations(found.setup.problem, values, sharper), 4 * found.each, rtol=1e-9)
