@@ -66,8 +66,8 @@ def publishing(*messages: tuple[str, Any] | str | bytes) -> Callable[[ServerConn
     """Return a handler that sends each message when its topics are subscribed, and then waits for the client."""
 
     def handler(connection: ServerConnection) -> None:
-        for _ in range(2):
-            assert json.loads(connection.recv())["op"] == "subscribe"
+        asked = [json.loads(connection.recv()) for _ in range(2)]
+        assert [(each["op"], each["topic"]) for each in asked] == [("subscribe", "/cmd_vel"), ("subscribe", "/scan")]
         for each in messages:
             is_raw = isinstance(each, str | bytes)
             connection.send(each if is_raw else json.dumps({"op": "publish", "topic": each[0], "msg": each[1]}))
@@ -86,7 +86,7 @@ def watched(
         watch = RosbridgeWatch(
             requirements_of_one_message(settings({**SECTION, **section})), port, lambda: ["127.0.0.1"], notes.append
         )
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 10
         while not until(watch, notes) and time.monotonic() < deadline:
             time.sleep(0.005)
         watch.close()
