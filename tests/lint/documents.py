@@ -23,7 +23,6 @@ DOCUMENTS = {
     WORKFLOW: WORKFLOWS,
     ACTION: ACTIONS,
     "vendor.github-issue-forms": [*PROJECT.glob(".github/ISSUE_TEMPLATE/*-*.yml")],
-    GITLAB: [],  # blocks of pages only: a component has two documents in its file
     "calibration.yml": [
         PROJECT / "calibration.yml",
         *PROJECT.glob("examples/*/calibration.yml"),
@@ -71,7 +70,7 @@ def findings() -> Iterator[str]:
                 if schema is not None:
                     path = Path(folder) / f"{str(readme.relative_to(PROJECT)).replace('/', ' ')}, line {line}.json"
                     path.write_text(json.dumps(document))
-                    documents[schema].append(path)
+                    documents.setdefault(schema, []).append(path)
         for schema, paths in documents.items():
             for line in check(schema, paths):
                 yield line.replace(f"{folder}/", "")
