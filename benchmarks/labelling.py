@@ -1,9 +1,11 @@
 """Labels from images and clouds against the truth and against OpenCV's own detector: how near, how many, how fast."""
 
 import statistics
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -21,6 +23,8 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform, translation
+from calibration.robot.importing.watch.arrivals import Arrival, Arrivals
+from calibration.robot.importing.watch.judging import ImageJudge
 from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import label_points
@@ -41,6 +45,8 @@ BOARD, CHESSBOARD = charuco(), chessboard()
 Corners = tuple[Array, Array]
 """Ids and pixels."""
 PAPER = "t2rgb-paper"
+WATCHED = 5000
+"""Images in a folder that is polled."""
 CAMERAS = ("right_camera", "left_camera")
 
 
@@ -51,6 +57,7 @@ def measure(quick: bool) -> Iterator[Row]:
     yield from _synthetic("720p distorted", HD_DISTORTED, count, Bar(high=0.08))
     yield from _synthetic("480p", VGA, count, Bar(high=0.12))
     yield from _chessboards(count)
+    yield from _watched()
     if reason := missing(PAPER):
         yield Row("labelling/paper", skipped=reason)
     else:
@@ -113,6 +120,29 @@ def _opencv(image: Array) -> Corners | None:
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     pixels, ids, _, _ = cv2.aruco.CharucoDetector(board, cv2.aruco.CharucoParameters(), parameters).detectBoard(image)
     return None if ids is None or not len(ids) else (ids.ravel(), pixels.reshape(-1, 2))
+
+
+def _watched() -> Iterator[Row]:
+    """CPU time from an image file to what `watch` says of it, and of a poll of a folder with many that are known."""
+    with TemporaryDirectory() as folder:
+        for n in range(WATCHED):
+            (Path(folder) / f"known{n}.png").write_bytes(b"1")
+        arrivals = Arrivals({"camera": folder})
+        arrivals.poll()
+        arrivals.poll()
+        start = time.process_time()
+        arrivals.poll()
+        yield Row("labelling/watch poll", 1e3 * (time.process_time() - start), "ms", None, f"of {WATCHED} files")
+    with TemporaryDirectory() as folder:
+        judge, times = ImageJudge({BOARD.name: BOARD}, ("camera",)), []
+        for n, (image, _) in enumerate(_views(HD, BOARD, 6)):
+            path = Path(folder) / f"{n}.png"
+            cv2.imwrite(str(path), image)
+            start = time.process_time()
+            judge.judge(Arrival("camera", path, (1, 1)))
+            times.append(time.process_time() - start)
+    used = f"{judge.counts['']} of {len(times)} used"
+    yield Row("labelling/watch 1280x720", max(times), "s", Bar(high=0.3), f"CPU time, {used}; the poll waits 0.1 s")
 
 
 def _chessboards(count: int) -> Iterator[Row]:
