@@ -220,7 +220,7 @@ def _description_file(path: Path) -> Path:
 def _check_sources(config: Path, described: ImportDescription) -> None:
     if described.bags is not None or described.has_videos:
         raise InputError(
-            f"{config}: found a bag or a video, whose index is written only when it ends; expected folders of images: "
+            f"{config}: found a bag or a video, which is not followed while it is written; expected folders of images: "
             "let image_saver write them (docs/watch.md), or 'calibration look' at the recording afterwards"
         )
     if others := [each.name for each in described.sensors if not each.images or each.clouds]:
