@@ -66,7 +66,7 @@ class Run:
     @property
     def tables(self) -> dict[str, list[list[str]]]:
         """The cells of the tables in the last summary of calibrations, row by row; by the first word of the header."""
-        summary = self.log[self.log.rindex("Summary - ## gather-results") :]
+        summary = self.log[self.log.rindex("Summary - ## Calibration") :]
         text = re.findall(r"(?:^\|.*\n)+", summary, re.MULTILINE)
         tables = [[line.strip("| ").split(" | ") for line in table.splitlines()] for table in text]
         return {table[0][0]: [table[0], *table[2:]] for table in tables}

@@ -196,7 +196,7 @@ def test_actions_are_green_in_a_plain_image(
         assert outputs["collection"]["collections"] == "4"
         # Within it the engine is that of the machine.
         assert outputs["image"]["digest"].startswith("sha256:")
-        assert run.installations == ["run", "coverage"]
+        assert run.installations == ["engine", "coverage", "image", "run"]
 
     repository.write(workflow(steps[:1]), {})
     run = repository.act_in(base_image)  # which has no Python
@@ -281,7 +281,7 @@ def test_actions_are_red_in_every_way(repository: Repository, base_image: str, i
     run = repository.push(workflow(steps), FILES | files)
     assert outcomes(run) == {step.id: "failure" for step in steps}, run.log
     assert "Traceback" not in run.log
-    assert run.installations == ["run", "coverage"]  # that of the first serves nearly all
+    assert run.installations == ["engine", "run", "coverage"]  # the second serves nearly all that follow
     for step, code, said in cases:
         came = outcome(run, step)
         assert (came.code, len(came.annotations)) == (code, 1), came.log

@@ -39,6 +39,8 @@ def files(folder: Path) -> dict[str, bytes]:
             for entry in document["cells"] + document["comparisons"]:
                 entry["seconds"] = 0
             data = json.dumps(document).encode()
+        if path.name == "comment.json":  # its last line has the time
+            data = b"".join(line for line in data.splitlines(True) if b'"Time: ' not in line)
         if path.name != "junit.xml":
             found[str(path.relative_to(folder))] = data
     return found

@@ -1,5 +1,6 @@
 """How the poses of a file are written, ``rotation``, ``degrees``, ``units``, ``inverse``: one record of conventions."""
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -141,7 +142,7 @@ class PoseForm:
 
 
 def _of_quaternion(q: Array, where: str) -> Array:
-    if not abs((norm := float(np.linalg.norm(q))) - 1) <= QUATERNION_TOLERANCE:
+    if not abs((norm := math.hypot(*q)) - 1) <= QUATERNION_TOLERANCE:
         raise InputError(
             f"{where}: found a quaternion of length {norm:.6g}, expected qx, qy, qz, qw of length 1 (within "
             f"{QUATERNION_TOLERANCE:g})"
