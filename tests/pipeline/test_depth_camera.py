@@ -18,6 +18,7 @@ from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.conftest import DATASETS
 from tests.pipeline.systems import with_depth_camera
+from tests.thorough import thorough
 
 POSES = 10
 
@@ -58,7 +59,7 @@ def errors_in_sigmas(folder: Path) -> np.ndarray:
     return np.array(values)
 
 
-@pytest.mark.parametrize("rig", ["rgb_and_depth", "with_lidar"])
+@pytest.mark.parametrize("rig", ["rgb_and_depth", thorough("with_lidar")])
 def test_the_error_against_the_truth_matches_the_covariance(rig: str, request: pytest.FixtureRequest) -> None:
     results, folder = request.getfixturevalue(rig)
     assert results.verdict == "pass"

@@ -180,6 +180,7 @@ def test_a_dataset_that_is_collected_shows_all_its_images(small: Path, tmp_path:
     page.close()
 
 
+@pytest.mark.thorough
 def test_of_more_systems_than_the_page_takes_those_that_failed_are_drawn(
     report: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

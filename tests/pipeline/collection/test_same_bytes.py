@@ -10,6 +10,7 @@ import pytest
 from calibration.pipeline.collection.dispatch import CollectionRequest, collect_dataset
 from tests.pipeline.systems import with_depth_camera, with_scanner
 from tests.processors import on_a_lesser_processor, on_linux
+from tests.thorough import thorough
 
 SEED = 2
 """Of points that fall next to the border of a pixel's sixteenth, where another last bit shows."""
@@ -25,7 +26,7 @@ def digests(describe: Callable[[Path], Path]) -> dict[str, str]:
 
 
 @on_linux
-@pytest.mark.parametrize("describe", [with_depth_camera, with_scanner])
+@pytest.mark.parametrize("describe", [thorough(with_depth_camera), with_scanner])
 def test_a_lesser_processor_makes_the_same_files(describe: Callable[[Path], Path]) -> None:
     there = on_a_lesser_processor(__name__, f"digests(module.{describe.__name__})")
     assert there == str(digests(describe))

@@ -380,6 +380,7 @@ def test_an_interruption_keeps_what_is_done(asked: ScenarioRequest, tmp_path: Pa
     assert [path.name for path in (tmp_path / "out" / "scenarios").iterdir()] == ["s5-00002"]
 
 
+@pytest.mark.thorough
 def test_scenarios_here_that_are_interrupted_go_on_unless_they_are_others(
     asked: ScenarioRequest, tmp_path: Path
 ) -> None:

@@ -22,6 +22,7 @@ from calibration.robot.importing.importing import import_data
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind, compressed_depth
 from tests.robot.importing.conftest import BOARD, CAMERAS, DATASETS
 from tests.robot.importing.test_bags import describe, file_of
+from tests.thorough import thorough
 
 DEPTH, CAMERA = CAMERAS
 SENSORS: dict[str, Any] = {
@@ -92,7 +93,7 @@ def imported(path: Path, sensors: dict[str, Any] = SENSORS) -> Dataset:
     return read_dataset(path.parent / "out")
 
 
-@pytest.mark.parametrize(("kind", "encoding"), [("bag", "16UC1"), ("mcap", "32FC1")])
+@pytest.mark.parametrize(("kind", "encoding"), [thorough("bag", "16UC1"), ("mcap", "32FC1")])
 def test_they_calibrate_to_the_truth(recorded: Path, tmp_path: Path, kind: Kind, encoding: str) -> None:
     dataset, known = imported(record(recorded, tmp_path, kind, encoding, poses=10)), true(recorded)
     assert dataset.sensors["range"].modality.name == "depth"
