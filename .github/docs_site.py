@@ -7,9 +7,9 @@ from typing import Any
 
 _LINK_OUT_OF_DOCS = re.compile(r"(!?)(\[[^\]]*\])\(\.\./([^)]+)\)")
 _FENCED_BLOCK = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
-_SENTENCE = re.compile(r"[A-Z].*?[.:?](?=\s|$)")
+_SENTENCE = re.compile(r"[A-Z].*?[.?](?=\s|$)")
 MAX_SUMMARY_CHARACTERS = 200
-"""Of a page's line in llms.txt."""
+"""Limit of a page's summary in llms.txt."""
 
 _summaries: dict[str, str] = {}
 

@@ -170,7 +170,7 @@ def start(action: str) -> NoReturn:
 
 
 def only_calibrates(config: Path) -> bool:
-    """Whether a configuration asks for nothing but the engine; its errors are told by the command."""
+    """Return whether a configuration needs the engine alone; one that cannot be read does: the command says why."""
     try:
         with config.open("rb") as file:
             text = file.read(MAX_CONFIG_BYTES + 1)

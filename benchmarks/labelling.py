@@ -45,7 +45,7 @@ BOARD, CHESSBOARD = charuco(), chessboard()
 Corners = tuple[Array, Array]
 """Ids and pixels."""
 PAPER = "t2rgb-paper"
-WATCHED = 5000
+WATCHED_FILES = 5000
 """Images in a folder that is polled."""
 CAMERAS = ("right_camera", "left_camera")
 
@@ -57,7 +57,7 @@ def measure(quick: bool) -> Iterator[Row]:
     yield from _synthetic("720p distorted", HD_DISTORTED, count, Bar(high=0.08))
     yield from _synthetic("480p", VGA, count, Bar(high=0.12))
     yield from _chessboards(count)
-    yield from _watched()
+    yield from _watched_folder()
     if reason := missing(PAPER):
         yield Row("labelling/paper", skipped=reason)
     else:
@@ -122,17 +122,17 @@ def _opencv(image: Array) -> Corners | None:
     return None if ids is None or not len(ids) else (ids.ravel(), pixels.reshape(-1, 2))
 
 
-def _watched() -> Iterator[Row]:
+def _watched_folder() -> Iterator[Row]:
     """CPU time from an image file to what `watch` says of it, and of a poll of a folder with many that are known."""
     with TemporaryDirectory() as folder:
-        for n in range(WATCHED):
+        for n in range(WATCHED_FILES):
             (Path(folder) / f"known{n}.png").write_bytes(b"1")
         arrivals = Arrivals({"camera": folder})
         arrivals.poll()
         arrivals.poll()
         start = time.process_time()
         arrivals.poll()
-        yield Row("labelling/watch poll", 1e3 * (time.process_time() - start), "ms", None, f"of {WATCHED} files")
+        yield Row("labelling/watch poll", 1e3 * (time.process_time() - start), "ms", None, f"of {WATCHED_FILES} files")
     with TemporaryDirectory() as folder:
         judge, times = ImageJudge({BOARD.name: BOARD}, ("camera",)), []
         for n, (image, _) in enumerate(_views(HD, BOARD, 6)):

@@ -35,12 +35,12 @@ from calibration.robot.simulation.motion.sequence import Motion, joined, moving_
 from calibration.robot.simulation.placement import place
 from calibration.robot.simulation.system import System, read_system
 
-SYSTEMS = Path(__file__).parents[1] / "datasets"
-NAMES = ("t2rgb", "riwbot", "rlbot", "softbot", "spjbot")
+SYSTEMS_FOLDER = Path(__file__).parents[1] / "datasets"
+NAMES_OF_SYSTEMS = ("t2rgb", "riwbot", "rlbot", "softbot", "spjbot")
 ROBOTS, QUICK_ROBOTS = 200, 40
-FOLLOWED = 4
+FOLLOWED_POSES = 4
 """Poses that are advised and taken."""
-KEPT = (0.8, 1.25)
+RATIO_LIMITS = (0.8, 1.25)
 """Promised over reached."""
 HAND_MM, HAND_DEG = 20.0, 3.0
 """Standard deviations, each axis, of a board that is held by hand."""
@@ -51,7 +51,7 @@ HARD = (24, 36)
 MAX_ALL_SUBSETS = 20_000
 SUBSETS, SUBSET, LARGER = 200, 6, 1.3
 TASK = RobotTask("far", seen_by=("camera_1",), frame="camera_0_link", distance=2.0, limit_mm=1.0)
-"""Of the rig that is timed."""
+"""Task of the rig whose advice is timed."""
 BEGUN = 5
 """Collections with which a recording that hides the others begins."""
 
@@ -59,14 +59,13 @@ BEGUN = 5
 def measure(quick: bool) -> Iterator[Row]:
     """Simulated robots of the systems that ship, with random starts; recordings that hide collections; time."""
     count = QUICK_ROBOTS if quick else ROBOTS
-    begun = [each for k in range(count) if (each := begin(NAMES[k % len(NAMES)], k)) is not None]
+    begun = [each for k in range(count) if (each := begin(NAMES_OF_SYSTEMS[k % len(NAMES_OF_SYSTEMS)], k)) is not None]
     kept = [ratios for each in begun if (ratios := promised_over_reached(each))]
-    share = float(np.mean([all(KEPT[0] <= r <= KEPT[1] for r in ratios) for ratios in kept]))
+    share = float(np.mean([all(RATIO_LIMITS[0] <= r <= RATIO_LIMITS[1] for r in ratios) for ratios in kept]))
     every = np.concatenate(kept)
     low, middle, high = np.percentile(every, [5, 50, 95])
-    note = (
-        f"{len(kept)} robots of five systems, {FOLLOWED} poses followed; 5, 50, 95 %: {low:.2f} {middle:.2f} {high:.2f}"
-    )
+    quantiles = f"{low:.2f} {middle:.2f} {high:.2f}"
+    note = f"{len(kept)} robots of five systems, {FOLLOWED_POSES} poses followed; 5, 50, 95 %: {quantiles}"
     yield Row("next_pose/promise kept", 100 * share, "%", Bar(low=90), note)
     taken = np.array([poses for each in begun if (poses := poses_to_limit(each)) is not None], float)
     note = f"{len(taken)} robots; poses by advice {taken[:, 0].mean():.1f}, at random {taken[:, 1].mean():.1f}"
@@ -93,7 +92,7 @@ class Begun:
 
 @cache
 def _system(name: str) -> tuple[System, Motion]:
-    system = read_system(SYSTEMS / name)
+    system = read_system(SYSTEMS_FOLDER / name)
     return system, find_candidates(system, 20, 5).motion
 
 
@@ -121,8 +120,8 @@ def begin(name: str, seed: int) -> Begun | None:
 
 
 def _options(seed: int) -> Options:
-    """What is held is known as usual, or exactly in every other robot of a system."""
-    return Options(assume=ALL_EXACT if seed // len(NAMES) % 2 else Assumptions())
+    """Return how well a robot's fixed parameters are known: as usual, or exactly in every other robot of a system."""
+    return Options(assume=ALL_EXACT if seed // len(NAMES_OF_SYSTEMS) % 2 else Assumptions())
 
 
 def _recorded(system: System, motion: Motion, pixels: float, seed: int) -> Dataset:
@@ -149,8 +148,8 @@ def _recorded(system: System, motion: Motion, pixels: float, seed: int) -> Datas
 
 
 def promised_over_reached(begun: Begun) -> list[float]:
-    """Of each goal, after the advised poses, as well as a hand holds a board."""
-    advice = begun.advisor.advise(FOLLOWED)
+    """Return the ratio of each goal, once the advised poses are taken as exactly as a hand holds a board."""
+    advice = begun.advisor.advise(FOLLOWED_POSES)
     more = begun.following.take([pose.candidate for pose in advice.poses])
     if more.model_poses is not None:
         random = np.random.default_rng([begun.seed, 3])

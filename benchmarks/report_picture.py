@@ -19,7 +19,7 @@ class Picture(NamedTuple):
 
     name: str
     part: str
-    """What it begins with."""
+    """CSS selector of where it begins."""
     width: int
     """px."""
     height: int
