@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.properties import register_profiles
+from tests.thorough import unmark_first_cases
 
 # As the commands do, before anything imports numpy: the tests' processes are the parallelism.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -91,6 +92,12 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Decide which cases are thorough, and order the tests."""
+    unmark_first_cases(items)
+    spread_waiting_tests(items)
+
+
+def spread_waiting_tests(items: list[pytest.Item]) -> None:
     """Spread the files of tests that wait evenly over the workers, so that the cores always have something else to do.
 
     A worker begins with a part of the list; those with little left take from the ends of the others.

@@ -6,10 +6,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 PROJECT = Path(__file__).parents[1]
 SHARE = "test_hostile_repositories or test_interruption or test_build_and_registry or test_labels"
 
 
+@pytest.mark.thorough
 def test_what_needs_a_missing_tool_is_skipped_and_named(tmp_path: Path) -> None:
     """All tests are collected, and a share of them is run."""
     (tmp_path / "python").symlink_to(sys.executable)

@@ -205,6 +205,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("installer", ["pip", "uv"])
 def test_settings_of_the_job_do_not_break_the_installation(suite: Suite, installer: str, tmp_path: Path) -> None:
     path = suite.path_without_uv
@@ -355,6 +356,7 @@ def test_a_machine_without_python_is_told_in_one_line(suite: Suite, tools: Path)
     assert "uv python install 3.11" in line
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("place", ["tools/python3.12", "cache/Python/3.12.7/x64/bin/python3", "brought/by-uv"])
 def test_a_newer_python_is_found(suite: Suite, tools: Path, tmp_path: Path, place: str) -> None:
     if place == "brought/by-uv":

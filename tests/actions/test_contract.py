@@ -200,6 +200,7 @@ def test_locks_satisfy_pyproject(lock: str, extras: list[str], groups: list[str]
         assert all(map(requirement.specifier.contains, versions)), f"{line}: {versions}, run `make lock`"
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(
     ("lock", "extras"),
     [

@@ -94,6 +94,7 @@ def test_every_other_module_is_imported(bare: PackageWithout) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.thorough(but_first=2)
 def test_its_commands_are_unknown_and_the_others_are_listed(package: PackageWithout) -> None:
     listed = package.calibration("--help")
     assert listed.returncode == 0, listed.stderr
@@ -118,6 +119,7 @@ def test_a_system_is_calibrated(bare: PackageWithout) -> None:
     assert (results["verdict"], len(results["cells"])) == ("pass", 1)
 
 
+@pytest.mark.thorough(but_first=2)
 def test_its_sections_and_backends_in_calibration_yml_are_input_errors_that_name_them(package: PackageWithout) -> None:
     for section in (name for addon in package.deleted.values() for name in addon.sections):
         done = package.run(f"{section}: {{}}\n")

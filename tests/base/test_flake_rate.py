@@ -10,6 +10,7 @@ from scipy.stats import beta
 from calibration.base.flake_rate import FlakeRate, rate_seen_by, runs_to_see
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(("failed", "runs"), [(3, 60), (0, 10), (10, 10), (1, 2), (999, 1000)])
 def test_intervals_are_those_of_clopper_and_pearson(failed: int, runs: int) -> None:
     low = beta.ppf(0.025, failed, runs - failed + 1) if failed else 0

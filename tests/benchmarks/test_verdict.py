@@ -39,6 +39,7 @@ def test_a_scene_is_the_truth_with_noise() -> None:
     assert 0.03 < np.std(difference) < 0.2
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("kind", ["focal length", "joint origin x", "pushed sensor"])
 def test_a_large_defect_does_harm(kind: str) -> None:
     outcome = run(Case(kind, "exact", "riwbot", 2, 0))
@@ -60,6 +61,7 @@ def test_the_table_counts_what_was_found(good: Outcome) -> None:
     assert any("focal length" in line for line in summary.lines(rows))
 
 
+@pytest.mark.thorough(but_first=10)
 @pytest.mark.parametrize("kind", UNFORESEEN, ids=lambda kind: kind.name)
 def test_a_kind_that_no_check_was_written_for_changes_what_the_user_has(kind: Kind) -> None:
     system = kind.systems[-1]

@@ -13,6 +13,7 @@ def test_a_share_of_the_campaign() -> None:
     assert [problem for seed in range(6) if (problem := problem_of("tables", seed))] == []
 
 
+@pytest.mark.thorough
 def test_a_second_signal_while_workers_end_is_no_hang(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(faults, "KINDS", ("two signals",))
     assert [problem for seed in range(4) if (problem := problem_of("convergence", seed))] == []

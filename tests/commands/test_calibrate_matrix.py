@@ -169,6 +169,7 @@ def test_the_outputs_of_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert (output / "summary.md").read_text().strip() == (tmp_path / "summary").read_text().strip()
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_everything_that_was_started(number: signal.Signals, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "calibration", "calibrate-matrix", "--dataset", T2RGB]

@@ -317,6 +317,7 @@ def test_many_scenarios_and_one_of_them_again(small: Path, tmp_path: Path, capsy
     assert run(*common, "--scenarios", "1", "--max-translation-mm", "0.00001", *rate, "--output", tmp_path / "red") == 0
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("struck", [signal.SIGTERM, signal.SIGKILL])
 def test_a_killed_run_leaves_no_half_dataset_and_goes_on(struck: signal.Signals, small: Path, tmp_path: Path) -> None:
     output = tmp_path / "output"

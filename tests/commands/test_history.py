@@ -118,6 +118,7 @@ def test_without_a_repository_or_a_commit(
     assert "no commit has accepted anything: calibration accept" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_git_bisect_finds_the_commit_that_changed_the_result(repository: Path) -> None:
     [line] = [
         each for each in (PROJECT / "docs/baseline.md").read_text().splitlines() if each.startswith("git bisect run")

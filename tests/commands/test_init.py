@@ -29,6 +29,7 @@ def bring(repository: Path, name: str) -> None:
     shutil.copytree(DATASETS / name, repository / "data" / name, ignore=shutil.ignore_patterns("*.jpg"))
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(
     ("name", "table"),
     [
@@ -131,6 +132,7 @@ def test_a_camera_that_moves_while_it_records_is_red(repository: Path) -> None:
     assert main(["run", "--jobs", "1"]) == 1
 
 
+@pytest.mark.thorough
 def test_from_photographs_of_a_real_arm_to_a_verdict(
     shared_data: Path, repository: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

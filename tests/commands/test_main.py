@@ -187,6 +187,7 @@ def test_errors_are_one_line(
     assert out == (line.replace("error: ", "::error::") if github else "")
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("number", [1, 2])
 @pytest.mark.parametrize(
     ("arguments", "code"), [("schema", 0), ("calibrate-matrix --dataset none", 2), ("version", 0), ("none", 2)]
@@ -316,6 +317,7 @@ def test_expected_errors_are_one_line(
     assert said.startswith(line)
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("megabytes", [60, 80, 100, 120, 1000])
 def test_too_little_memory_for_numpy_is_no_verdict(megabytes: int) -> None:
     """OpenBLAS ends the process with exit code 1 if its import finds no memory."""
@@ -333,6 +335,7 @@ def test_too_little_memory_for_numpy_is_no_verdict(megabytes: int) -> None:
     assert said.startswith("error: there is not enough memory" if done.returncode == 3 else "error: none: ")
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("arguments", ["version", "schema", "calibrate-matrix --dataset none", "nothing"])
 def test_full_streams_are_no_verdict(arguments: str) -> None:
     with Path("/dev/full").open("w") as full:

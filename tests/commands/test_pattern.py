@@ -77,6 +77,7 @@ def drawn(svg: Path, inverted: bool) -> Array:
     return image
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize("name", BOARDS)
 def test_a_board_is_true_to_size_and_found(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["pattern", *BOARDS[name], "--output", str(tmp_path / "board")]) == 0

@@ -183,6 +183,7 @@ def test_every_action_is_green_on_a_push_and_for_a_stranger(
         assert len(server.asked) == 1
 
 
+@pytest.mark.thorough
 def test_actions_are_green_in_a_plain_image(
     repository: Repository, plain_image: str, base_image: str, registry: Registry
 ) -> None:
@@ -214,6 +215,7 @@ def refused() -> Iterator[str]:
         yield f"http://127.0.0.1:{taken.getsockname()[1]}"
 
 
+@pytest.mark.thorough
 def test_actions_are_red_in_every_way(repository: Repository, base_image: str, image: str, refused: str) -> None:
     """1: the verdict; 2: the input; 3: the infrastructure. Each says in one annotation what is wrong."""
     averages = {"file": "my table.csv", "column": "RMS (pix)", "row": "Averages"}

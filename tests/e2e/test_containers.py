@@ -125,6 +125,7 @@ WRONG_REQUIREMENTS = {
 EXAMPLES = {"examples": PROJECT / "examples", "calibration": PROJECT / "calibration"}
 
 
+@pytest.mark.thorough
 def test_the_four_actions_one_after_the_other(repository: Repository, base_image: str, registry: Registry) -> None:
     run = push(repository, STEPS, registry, EXAMPLES)
     assert run.code == 0, run.log
@@ -189,6 +190,7 @@ def test_the_reusable_workflow_hands_the_recorded_messages_on(
     assert recorded == ["calibration~collected-data"]
 
 
+@pytest.mark.thorough
 def test_the_root_action_promotes_what_has_passed_alone(
     repository: Repository, base_image: str, registry: Registry
 ) -> None:

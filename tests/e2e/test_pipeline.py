@@ -248,6 +248,7 @@ class Robot(unittest.TestCase):
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("good", [thorough(True), False])
 def test_unit_tests_and_static_analysis_without_a_calibration(good: bool, caller: Caller, tmp_path: Path) -> None:
     """A job each; a fork has no token for the coverage, which is no reason to be red: nor is its upload, skipped."""

@@ -54,6 +54,7 @@ def api(caller: Caller) -> Iterator[GitHub]:
         yield found
 
 
+@pytest.mark.thorough
 def test_the_life_of_an_accepted_calibration(caller: Caller, api: GitHub, tmp_path: Path) -> None:
     folder = caller.repository.folder
     with_api = ("-s", f"GITHUB_TOKEN={TOKEN}", "--env", f"INPUT_API_URL={api.url}")

@@ -25,6 +25,7 @@ messages = pytest.importorskip("tests.addons.requirements.messages")
 EVALUATE = "inter-collection-rgb-to-rgb:rgb_world:rgb_world"
 
 
+@pytest.mark.thorough
 def test_in_a_plain_image(plain_image: str, repository: Repository, tmp_path: Path) -> None:
     caller = Caller(repository, tmp_path / "artifacts")
     caller.write(
@@ -128,6 +129,7 @@ def jobs(run: Run) -> set[str]:
     return {re.sub(r"-\d+$", "", job) for job in re.findall(r"^\[robot/pipeline/(.*?) *\].*Set up job", run.log, re.M)}
 
 
+@pytest.mark.thorough
 def test_the_image_is_built_once_every_cell_runs_in_it_and_then_it_is_promoted(team: Team, tmp_path: Path) -> None:
     """Built, found by both cells and the tests, and promoted by its digest.
 

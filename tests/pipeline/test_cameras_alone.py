@@ -35,6 +35,7 @@ def numbers(text: str) -> object:
     return json.loads(text, parse_constant=refused)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("model", [BENT, FISHEYE])
 def test_the_four_commands_of_one_camera(repository: Path, model: Camera, capfd: pytest.CaptureFixture[str]) -> None:
     one_camera(repository / "data" / "camera", model)
@@ -129,6 +130,7 @@ def test_the_recordings_of_others_give_systems(
     assert "labels do not fit the result (5.4 %" in said
 
 
+@pytest.mark.thorough
 def test_a_fisheye_rig_without_intrinsics_is_calibrated(repository: Path, shared_data: Path) -> None:
     door = shared_data / "door" / "real" / "05-fisheye-nan-traceback"
     if not door.is_dir():

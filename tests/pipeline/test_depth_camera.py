@@ -72,6 +72,7 @@ def test_the_error_against_the_truth_matches_the_covariance(rig: str, request: p
     assert all(sigma.translation_mm < 0.7 for sigma in results.proof.sigmas.values())
 
 
+@pytest.mark.thorough
 def test_the_borders_of_the_two_kinds_of_sensors_have_their_own_noise(
     with_lidar: tuple[CollectionResults, Path],
 ) -> None:

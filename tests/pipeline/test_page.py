@@ -62,6 +62,7 @@ def _open_scenes(page: Page, count: int) -> None:
         page.locator(".turning.opened").nth(number).wait_for()
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_it_opens_offline_without_an_error_and_axe_finds_nothing(report: Path, chromium: Browser, scheme: Any) -> None:
     context = chromium.new_context(color_scheme=scheme, offline=True)
@@ -169,6 +170,7 @@ def test_it_is_small(report: Path) -> None:
     assert report.stat().st_size < 1_000_000
 
 
+@pytest.mark.thorough
 def test_a_dataset_that_is_collected_shows_all_its_images(small: Path, tmp_path: Path, chromium: Browser) -> None:
     options = ["--motion", "generate:3", "--output", str(tmp_path / "out"), "--jobs", "1"]
     assert main(["collect-data-sim", "--system", str(small), *options]) in (0, 1)

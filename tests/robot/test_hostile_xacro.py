@@ -176,6 +176,7 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CALIBRATION_REGISTRY_PASSWORD", SECRET)
 
 
+@pytest.mark.thorough(but_first=16)
 @pytest.mark.parametrize("expression", EXPRESSIONS, ids=range(len(EXPRESSIONS)))
 def test_an_expression_reaches_and_takes_nothing(tmp_path: Path, expression: str) -> None:
     escaped = expression.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
@@ -189,6 +190,7 @@ def test_what_is_escaped_stays_text(tmp_path: Path) -> None:
     assert b'<link name="${1 + 1}"/>' in read_robot_description(file)
 
 
+@pytest.mark.thorough(but_first=8)
 @pytest.mark.parametrize("body", BODIES, ids=range(len(BODIES)))
 def test_an_element_reaches_and_takes_nothing(tmp_path: Path, body: str) -> None:
     refusal(tmp_path, f"{HEAD}{body}</robot>")

@@ -72,6 +72,7 @@ def test_the_matrix_in_the_cloud(batch_emulator: Aws, capsys: pytest.CaptureFixt
     assert Path("output", RUN_FILE).read_text() == "other\n"
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("quick")
 def test_a_pipeline_in_the_cloud(batch_emulator: Aws, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(T2RGB, tmp_path / "collected")

@@ -144,6 +144,7 @@ def reply(status: int, code: str, message: str = "said") -> Reply:
     return Reply(status, json.dumps({"__type": code, "message": message}).encode(), headers)
 
 
+@pytest.mark.thorough(but_first=4)
 @pytest.mark.parametrize(
     ("answer", "error", "message"),
     [

@@ -115,6 +115,7 @@ with terminate_cleanly(), BatchBackend(SETTINGS, "killed") as backend:
 """
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_all(batch_emulator: Aws, tmp_path: Path, number: signal.Signals) -> None:
     Tasks(batch_emulator, hang)

@@ -173,6 +173,7 @@ def test_tests_that_measure_themselves(server: projects.Codacy, capsys: pytest.C
     assert "the tests passed, but no coverage was measured: no Python was started" in capsys.readouterr().err
 
 
+@pytest.mark.thorough(but_first=4)
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [
@@ -372,6 +373,7 @@ def without_ptrace() -> None:
     ctypes.CDLL(None).prctl(24, 19, 0, 0, 0)  # PR_CAPBSET_DROP, CAP_SYS_PTRACE
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 @pytest.mark.parametrize("action", [False, True])
 def test_the_tests_cannot_steal_the_token(server: projects.Codacy, tmp_path: Path, root: Path, action: bool) -> None:
@@ -557,6 +559,7 @@ def test_names_that_try_to_command_the_runner(root: Path, on_github: Any, capsys
     ]
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_stops_the_tests(root: Path, number: signal.Signals) -> None:
     test = "import os, time\ndef test():\n    print('pid', os.getpid(), flush=True)\n    time.sleep(60)\n"

@@ -79,6 +79,7 @@ def test_what_cannot_be_started(tmp_path: Path, arguments: list[str]) -> None:
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler  # signals are heard again
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_signal_to_us_ends_it_too(tmp_path: Path, number: signal.Signals) -> None:
     program = f"""

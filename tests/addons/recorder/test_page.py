@@ -109,6 +109,7 @@ def test_record_a_sequence_and_collect_from_it(systems: dict[str, System], tmp_p
     assert len(json.loads((tmp_path / "dataset" / "dataset.json").read_bytes())["collections"]) == 4
 
 
+@pytest.mark.thorough
 def test_an_arm_is_moved_by_its_joints_and_by_its_handle(systems: dict[str, System], tmp_path: Path) -> None:
     system = systems["riwbot"]
     begun = Session(system)

@@ -284,6 +284,7 @@ BESIDE = from_xyz_rpy([0.1, 0.05, 0.03], [0.1, 0.2, 0.3])
 BOARD, CARD = ("flange", "board_link"), ("flange", "card_link")
 
 
+@pytest.mark.thorough(but_first=8)
 @EACH
 @pytest.mark.parametrize("eye_in_hand", [False, True])
 def test_of_several_patterns_the_one_seen_most_often_counts_and_the_others_are_placed(name, eye_in_hand, whose):

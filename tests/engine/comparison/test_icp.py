@@ -54,6 +54,7 @@ def test_the_second_sensor_may_be_the_anchored_one():
     assert found.transforms[TWO] is dataset.transforms[TWO]
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("kinds", [("lidar3d", "depth"), ("depth", "depth"), ("depth", "lidar3d")])
 def test_different_points_come_near(kinds):
     dataset, _ = range_pair(2, 8, kinds, noise=1e-3)

@@ -91,6 +91,7 @@ def test_the_synthetic_rig_gives_the_known_figures(shared_data):
     assert degrees < 0.02
 
 
+@pytest.mark.thorough
 def test_opencv_4_with_more_steps_ends_where_opencv_5_does(monkeypatch):
     """So that they differ is no wrong use of either: the one that stops early has the larger reprojection error."""
     dataset = read_dataset(DATASETS / "t2rgb")

@@ -49,6 +49,7 @@ def off(calibration: Calibration, true: Array, name: str) -> float:
     return 1e3 * float(np.linalg.norm(T[:3, 3] - true[:3, 3]))
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("since", [8, 12, 16])
 def test_the_result_is_where_the_camera_is_now(since: int) -> None:
     dataset, now = moved_from(eye_to_hand(N, pixel_noise=0.1), "cam", since)
@@ -61,6 +62,7 @@ def test_the_result_is_where_the_camera_is_now(since: int) -> None:
     assert after.dataset.collections == mixed.dataset.collections  # all views are kept in what is written
 
 
+@pytest.mark.thorough
 def test_of_two_cameras_either_may_have_moved() -> None:
     """They are 6.7 mm nearer or farther; which one has moved the data cannot tell, and it does not matter."""
     dataset, now = moved_from(stereo(N, pixel_noise=0.1), "right", 14)

@@ -19,6 +19,7 @@ NOISY = {"pixel_noise": 0.3, "range_noise": 0.01, "partial": 0.3}
 EVERY_SCENE = pytest.mark.parametrize("scene", ALL)
 
 
+@pytest.mark.thorough(but_first=8)
 @EVERY_SCENE
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_every_start_gives_the_same_result(scene, loss):
@@ -32,6 +33,7 @@ def test_every_start_gives_the_same_result(scene, loss):
         assert result.cost == pytest.approx(first.cost, abs=1e-6)
 
 
+@pytest.mark.thorough(but_first=8)
 @EVERY_SCENE
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_exact_labels_give_the_truth(scene, loss):
@@ -85,6 +87,7 @@ def in_order(scene: str) -> tuple[Dataset, Calibration]:
     return dataset, calibrate(dataset)
 
 
+@pytest.mark.thorough(but_first=8)
 @EVERY_SCENE
 @pytest.mark.parametrize("order", ["collections", "sensors", "labels"])
 def test_the_order_does_not_matter(scene, order):

@@ -44,6 +44,7 @@ def outside(points: Array, T: Array) -> Array:
     return np.concatenate([low - at, at - high], -1).max(-1)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("camera", [CAMERA, BENT])
 @pytest.mark.parametrize("roll", [np.pi, 0.03])
 def test_on_average_border_rays_meet_the_border_and_limit_points_lie_inside(camera, roll):

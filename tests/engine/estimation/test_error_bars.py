@@ -35,6 +35,7 @@ def test_with_exact_fixed_parameters_they_are_by_the_labels_alone() -> None:
     assert found.label_sigma_mm(edge) <= found.sigma_mm(edge)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     "assume",
     [

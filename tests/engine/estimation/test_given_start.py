@@ -24,6 +24,7 @@ def optimum(scene: str, loss: Loss) -> tuple[Dataset, Calibration]:
     return dataset, calibrate(dataset, Options(loss=loss))
 
 
+@pytest.mark.thorough(but_first=12)
 @pytest.mark.parametrize("scene", ALL)
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 @pytest.mark.parametrize("size", [0.0, 0.03])
@@ -40,6 +41,7 @@ def test_a_near_guess_leads_to_the_optimum(scene, loss, size):
         )
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("scene", ["stereo", "two bodies", "hand and world", "lidar behind", "ring"])
 def test_a_bad_start_leads_to_the_optimum_or_a_reason(scene):
     dataset = ALL[scene](10, **NOISY).dataset(1)

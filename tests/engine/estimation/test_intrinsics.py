@@ -154,6 +154,7 @@ def test_depth_cameras_have_none_either():
         build(replace(dataset, sensors={**dataset.sensors, "lidar": depth}), intrinsics=("lidar",))
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.many_scenes
 def test_the_errors_are_as_large_as_stated(name):

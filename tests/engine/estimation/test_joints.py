@@ -105,6 +105,7 @@ def test_fixed_joints_and_parameters():
         np.testing.assert_array_equal(none.dataset.joints[name].values, off.joints[name].values)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("case", ["one angle", "a prismatic encoder", "a whole origin", "angles in a row"])
 @pytest.mark.many_scenes
 def test_the_errors_are_as_large_as_stated(case):

@@ -38,6 +38,7 @@ def chosen(model: Camera, views: int = 25, seed: int = 0, noise: float = 0.2) ->
     return fitting_lens("c0", model.width, model.height, views_of(dataset))
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(
     ("model", "expected", "seed"),
     [
@@ -56,6 +57,7 @@ def test_the_simplest_model_that_fits_is_chosen(model: Camera, expected: type[Di
     assert choice.reason.startswith(expected.ros_name)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("lens", [Equidistant(-0.02, 0.01, -0.003, 0.0005), DoubleSphere(-0.2, 0.59)], ids=str)
 def test_a_lens_of_195_degrees_is_found(lens: Distortion) -> None:
     model = Camera(270.0, 271.0, 640.0, 478.0, 1280, 960, lens)

@@ -34,6 +34,7 @@ NOISES = [(0, 0), (0.5, 0), (0, 0.5), (0.5, 0.5), (3, 3)]
 LIDAR_2D_STEP = np.radians(0.5)
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("mixture", MIXTURES)
 def test_exact_labels_give_the_truth_from_every_starting_noise(mixture):
     dataset = MIXTURES[mixture](border=False).dataset()
@@ -45,6 +46,7 @@ def test_exact_labels_give_the_truth_from_every_starting_noise(mixture):
 
 
 # "tripod" is a part of "tripod with gaps"; a camera beside a 3D LiDAR is in test_uncertainty.
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     "mixture", ["camera and 2D lidar", "tripod with gaps", "linked by an arm", "linked by a 2D lidar"]
 )

@@ -64,6 +64,7 @@ def test_mirrored_patterns_are_found_and_put_right(scene, robust, camera):
             np.testing.assert_array_equal(values[i], value)
 
 
+@pytest.mark.thorough(but_first=8)
 @pytest.mark.parametrize("scene", ALL)
 @pytest.mark.parametrize("robust", [False, True])
 @pytest.mark.parametrize("exact", [False, True])

@@ -52,6 +52,7 @@ def test_rejected_points_are_named_by_their_place_among_the_labelled_points():
     assert {r[0] for r in rejected} == {"003"}
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize("scene", [stereo, eye_in_hand, two_bodies], ids=lambda s: s.__name__)
 @pytest.mark.parametrize("seed", [1, 6, 12])
 def test_nonsense_in_some_views_leads_to_the_optimum_or_to_a_reason(scene, seed):

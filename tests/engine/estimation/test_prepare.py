@@ -59,6 +59,7 @@ def assert_equal(one: Calibration, other: Calibration) -> None:
         np.testing.assert_array_equal(one.covariances[edge], covariance)
 
 
+@pytest.mark.thorough(but_first=4)
 @pytest.mark.parametrize("name", ["cameras", "LiDAR", "exchanged views", "guessed", "guessed, exchanged"])
 @pytest.mark.parametrize("start", ["linear", "given"])
 def test_calibrations_of_one_prepared_dataset_are_those_of_calibrate(name: str, start: str) -> None:

@@ -53,6 +53,7 @@ def corners_of(dataset: Dataset) -> Array:
     return np.concatenate([apply(each, pattern.corners) for each in T])
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("name", LENSES)
 @pytest.mark.many_scenes
 def test_the_map_is_the_scatter_of_calibrations_of_other_recordings(name: str) -> None:

@@ -64,6 +64,7 @@ def test_an_arm_is_within_a_hundredth_of_maximum_likelihood(shared_data: Path):
         assert result.label_sigma_mm(camera.edge) == pytest.approx(0.068, rel=0.03)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("loss", ["linear", "huber"])
 def test_a_lidars_error_matches_its_covariance(shared_data: Path, loss):
     dataset = read_dataset(shared_data / "synthetic" / "rlbot")

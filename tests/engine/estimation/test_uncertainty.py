@@ -35,6 +35,7 @@ def error(result: Calibration, truth: dict[Edge, Array], edge: Edge) -> Array:
     return local(back @ result.transforms[edge], truth[edge])
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.many_scenes
 def test_the_errors_are_as_large_as_stated(case):

@@ -34,6 +34,7 @@ def with_poses_exchanged(dataset: Dataset, which: Sequence[int]) -> Dataset:
     return replace(dataset, transforms={edge: T[order] for edge, T in dataset.transforms.items()})
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(
     ("scene", "sensor", "named", "wrong"),
     [

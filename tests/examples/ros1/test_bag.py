@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import pytest
 from example_robot.board import Board
 from example_robot.dataset import DatasetFolder, View
 
@@ -85,6 +86,7 @@ def between(dataset: Dataset) -> Array:
     return T
 
 
+@pytest.mark.thorough
 def test_it_calibrates_as_the_live_run(collected: Collected, tmp_path: Path) -> None:
     seen = [capture(collected.play, number).data for number in range(len(collected.play))]
     record(tmp_path / "cells.bag", collected, seen)

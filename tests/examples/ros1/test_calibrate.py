@@ -64,6 +64,7 @@ def calibrated_from(collected: Collected, tmp_path_factory: pytest.TempPathFacto
     return found
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("size", ["0", "0.1"])
 def test_it_finds_the_truth_from_every_noisy_start(
     collected: Collected, calibrated_from: dict[str, Path], size: str

@@ -57,6 +57,7 @@ def has(engine: "DockerClient", run: str, state: str, count: int = 1) -> bool:
     return len(found) >= count
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(
     ("kind", "state", "count", "number"),
     [
@@ -85,6 +86,7 @@ def test_stopped_while_it_goes_on(
     assert sent == ({"9"} if state == "running" else set())
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("delay", [0.9, 1.3, 1.7, 2.1])
 def test_stopped_at_any_moment(tmp_path: Path, engine: "DockerClient", delay: float) -> None:
     """During creation, start, stop, copying and removal: one after the other, for each job."""
@@ -189,6 +191,7 @@ def test_leftovers_of_killed_runs_are_removed_and_running_ones_kept(tmp_path: Pa
         assert cleanup("--run", alive) == "nothing removed\n"
 
 
+@pytest.mark.thorough
 def test_a_run_removes_what_killed_ones_have_left(
     tmp_path: Path, engine: "DockerClient", monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -39,6 +39,7 @@ def running(engine: OwnEngine, run: str) -> int:
         client.close()
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_lost_in_mid_run(own_engine: OwnEngine, tmp_path: Path, number: signal.Signals) -> None:
     """Killed, its connections break; stopped, it keeps them without answering."""

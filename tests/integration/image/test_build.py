@@ -56,6 +56,7 @@ def fake_ros(builds: Builds) -> str:
     return builds.build({"builder": "engine"}, name=name, dockerfile="fake.Dockerfile").reference
 
 
+@pytest.mark.thorough
 def test_from_packages_to_a_running_image(builds: Builds, python_image: str) -> None:
     builds.write("robot/run.py", "import six, os; print(six.__name__, os.environ['FROM_ENTRYPOINT'], os.getuid() != 0)")
     builds.write("req.txt", "# nothing\n")

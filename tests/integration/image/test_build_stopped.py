@@ -58,6 +58,7 @@ def sleeping(marker: str) -> bool:
     return False
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("builder", ["engine", "buildkit"])
 def test_a_signal_stops_the_build(builds: Builds, builder: str, number: signal.Signals) -> None:
@@ -79,6 +80,7 @@ def test_a_signal_stops_the_build(builds: Builds, builder: str, number: signal.S
     assert [path.name for path in builds.folder.iterdir()] == ["image.yml"]  # no secret or archive is left in TMPDIR
 
 
+@pytest.mark.thorough
 def test_an_engine_that_is_killed(builds: Builds) -> None:
     marker = uuid.uuid4().hex
     with started_engine() as engine:

@@ -62,6 +62,7 @@ def applications(tmp_path: Path, python_image: str) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_three_of_which_one_fails(applications: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     system = str(PROJECT / "datasets" / "t2rgb")
     words = ["collect-data-sim", "--system", system, "--applications", str(applications), "--seed", "3"]

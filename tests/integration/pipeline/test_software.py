@@ -127,6 +127,7 @@ def test_the_start_returned_beside_a_good_table_is_red_with_the_distance(
     assert cell["findings"][0]["moves_mm"] > 100
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize(
     ("program", "options", "code", "says"),
     [
@@ -221,6 +222,7 @@ def test_a_planted_secret_is_in_no_log_result_or_summary(python_image: str, tmp_
     assert "key ***" in log.read_text()
 
 
+@pytest.mark.thorough
 def test_software_that_becomes_worse_on_the_same_data_is_red_against_what_was_accepted(
     python_image: str, engine: "DockerClient", tmp_path: Path
 ) -> None:

@@ -126,6 +126,7 @@ def test_from_a_specification_to_a_promoted_image(run: Run, registry: Registry) 
     assert "promoted to" in log
 
 
+@pytest.mark.thorough
 def test_results_inside_of_what_is_copied_change_nothing(run: Run, repository: Path) -> None:
     whole = "files: [{{from: robot, to: /opt/robot}}]", "files: [{{from: ., to: /opt/all}}]"
     options = ("--only", "build", "--output", str(repository / "results"))

@@ -25,6 +25,7 @@ def digests(describe: Callable[[Path], Path]) -> dict[str, str]:
         return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(output.iterdir())}
 
 
+@pytest.mark.thorough
 @on_linux
 @pytest.mark.parametrize("describe", [thorough(with_depth_camera), with_scanner])
 def test_a_lesser_processor_makes_the_same_files(describe: Callable[[Path], Path]) -> None:

@@ -43,6 +43,7 @@ def test_the_same_results_give_the_same_bytes_without_a_date() -> None:
     assert figures(results("leg")) != first
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("name", [r"$\frac$ & <b>", "腕 робот", "a\x1b[31m\nb", "x" * 300])
 def test_any_name_is_drawn(name: str) -> None:
     png, svg = figures(results(name))

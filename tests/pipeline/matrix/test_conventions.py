@@ -50,6 +50,7 @@ def test_data_without_a_result_have_it_too_and_their_error_is_a_note(door: Path,
     assert [(f.kind, f.severity) for f in cell.findings] == [("convention", "red"), ("engine", "note")]
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     ("recording", "named"),
     [

@@ -80,6 +80,7 @@ def test_libraries_print_nothing_of_a_damaged_image(capfd: pytest.CaptureFixture
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.thorough(but_first=8)
 @pytest.mark.parametrize(
     ("damage", "message"),
     [

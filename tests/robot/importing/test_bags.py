@@ -76,6 +76,7 @@ def describe(path: Path, **more: Any) -> Path:
     return file
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_recording_is_all_that_it_takes(tmp_path: Path, kind: Kind) -> None:
     config = describe(record(tmp_path, kind, poses=8))

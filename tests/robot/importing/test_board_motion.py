@@ -92,6 +92,7 @@ def true_motion(time: float, phases: Array) -> Array:
     return np.asarray((weights @ at) / np.array([[step], [step**2]]))
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("seed", range(3))
 def test_the_lag_of_a_camera_is_found_with_a_board_in_a_hand(tmp_path: Path, seed: int) -> None:
     found = calibrate(imported(tmp_path, LAG, seed), Options(lag=("free",), assume=ALL_EXACT, description="rough"))

@@ -115,6 +115,7 @@ def raw(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return imported(record(recorded, tmp_path_factory.mktemp("raw"), "mcap", "32FC1"))
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     ("encoding", "transport", "off"),
     [

@@ -199,6 +199,7 @@ def test_a_chunk_that_is_cut_is_no_shorter_chunk(tmp_path: Path) -> None:
         UnpackingBudget().unpack(bz2.BZ2Decompressor, packed[:-4])
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     "mode", ["compression_mode: FILE", '"compression\\x5fmode": FILE', "compression_mode: !!str file"]
 )

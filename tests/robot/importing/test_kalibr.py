@@ -161,6 +161,7 @@ def with_border_of_one() -> np.ndarray:
     return image
 
 
+@pytest.mark.thorough(but_first=4)
 @pytest.mark.parametrize(
     ("damage", "message"),
     [

@@ -61,6 +61,7 @@ def views_of(kind: str, camera: str, count: int = 8) -> Iterator[Image]:
         yield SimulatedCamera(VGA).render(CAMERAS[camera], Scene(ground=-5.0), [board], stream(i))
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_folder_is_imported_and_calibrated_to_the_truth(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -118,6 +118,7 @@ def test_clouds_calibrate_to_the_truth(tmp_path: Path) -> None:
     assert np.degrees(rad) < 0.3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("kind", [thorough("bag"), "mcap"])
 def test_clouds_of_livox_are_those_of_a_pointcloud(tmp_path: Path, kind: Kind) -> None:
     found = []

@@ -130,6 +130,7 @@ def _left_half(shown: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return small
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize(
     ("edit", "expected"),
     [
@@ -210,6 +211,7 @@ def test_a_chessboard_of_any_size_is_found(tmp_path: Path) -> None:
     assert results.cameras[tmp_path.name].with_pattern == 1
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     ("kind", "expected"),
     [
@@ -235,6 +237,7 @@ def test_clutter_is_no_pattern(tmp_path: Path) -> None:
     assert look(tmp_path).pattern is None
 
 
+@pytest.mark.thorough
 def test_a_long_video_is_looked_at_in_part(tmp_path: Path) -> None:
     video = write_video(tmp_path / "left.avi", [image("left_camera", n // 4) for n in range(40)])
     camera = look(video).cameras["left"]
@@ -270,6 +273,7 @@ def test_the_command_writes_its_results(tmp_path: Path, capsys: pytest.CaptureFi
     assert "docs/recording.md" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_the_real_arm_lacks_nothing() -> None:
     images = Path(__file__).resolve().parents[4] / "shared" / "data" / "real-arm" / "images"
     if not images.is_dir():

@@ -174,6 +174,7 @@ def imported(path: Path) -> ImportResults:
     return import_data(describe(path, bags={"every": 0.1}), path.parent / "out", jobs=1)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("decoder", DECODERS)
 @pytest.mark.parametrize(
     ("kind", "message", "codec"),
@@ -194,6 +195,7 @@ def test_video_is_imported_as_images_are(
         assert difference(np.asarray(cv2.imread(str(file))), shown(index)) < SAME
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("decoder", DECODERS)
 @pytest.mark.parametrize("codec", ["h264", "h265"])
 def test_an_image_of_a_video_does_not_depend_on_what_was_read_before(

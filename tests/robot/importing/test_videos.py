@@ -45,6 +45,7 @@ def recorded(folder: Path, suffix: str, **videos: Any) -> Path:
     return folder / "import.yml"
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("suffix", [".avi", ".mp4"])
 def test_each_standstill_is_a_collection(tmp_path: Path, suffix: str) -> None:
     results = import_data(recorded(tmp_path, suffix), tmp_path / "out", jobs=1)
@@ -61,6 +62,7 @@ def test_each_standstill_is_a_collection(tmp_path: Path, suffix: str) -> None:
     assert np.abs(shown.astype(float) - original).mean() < 5
 
 
+@pytest.mark.thorough
 def test_moments_by_time_and_by_number(tmp_path: Path) -> None:
     """A moment each 0.6 s of a video of 1.2, and only every third frame searched."""
     results = import_data(recorded(tmp_path, ".avi", every=0.6, step=3), tmp_path / "out", jobs=1)
@@ -70,6 +72,7 @@ def test_moments_by_time_and_by_number(tmp_path: Path) -> None:
     assert results.collections == 3
 
 
+@pytest.mark.thorough
 def test_stamps_shift_a_video(tmp_path: Path) -> None:
     """The right camera's clock is 0.05 s ahead, and that of the left one in nanoseconds."""
     config = recorded(tmp_path, ".avi")

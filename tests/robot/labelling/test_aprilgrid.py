@@ -69,6 +69,7 @@ def test_tags_are_printed_as_kalibr_does() -> None:
     assert not cells[::step, 1:step].any()
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(("camera", "limit"), [(HD, 0.06), (HD_DISTORTED, 0.06)])
 def test_corners_are_where_the_truth_projects_them(camera, limit) -> None:
     photograph = Photograph(camera, supersampling=2)
@@ -92,6 +93,7 @@ def test_ids_run_to_the_right_and_upwards() -> None:
     assert (np.diff(rows[..., 1], axis=0) < -5).all()
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(("distance", "tilt", "least"), [(3.5, 0.3, 0.95), (1.2, 1.15, 0.9), (0.55, 0.2, 0.9)])
 def test_small_sheared_and_near_tags(distance: float, tilt: float, least: float) -> None:
     T = facing(BOARD, distance, tilt, 1.0, 0.2)

@@ -43,6 +43,7 @@ def errors(found: CornerLabels, truth):
     return found.pixels - truth[found.ids]
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(("camera", "limit"), [(HD, 0.06), (HD_DISTORTED, 0.08)])
 def test_corners_are_where_the_truth_projects_them(camera, limit) -> None:
     """The bars of the work: RMS, no bias, nothing far off, and hardly a corner missed."""
@@ -122,6 +123,7 @@ def test_colour_is_as_grey() -> None:
 # Both layouts of boards with an even number of rows of squares
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize("dimension", [(7, 7), (6, 5), (11, 7), (4, 3)])
 def test_the_layout_is_found_in_the_image(dimension, legacy) -> None:
@@ -161,6 +163,7 @@ def test_few_rows_of_markers_never_give_the_wrong_layout(legacy) -> None:
             assert np.linalg.norm(errors(found, truth), axis=-1).max() < 1.0
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("legacy", [False, True])
 @pytest.mark.parametrize(
     "camera",
@@ -184,6 +187,7 @@ def test_lenses_that_bend_lines_never_give_the_wrong_layout(camera, legacy) -> N
 # Things in front
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize("grey", [0, 90, 255])
 @pytest.mark.parametrize("box", [(250, 180, 330, 260), (300, 100, 420, 300), (100, 230, 600, 260), (318, 0, 326, 480)])
 def test_a_corner_beside_something_in_front_is_right_or_left_out(box, grey) -> None:
@@ -293,6 +297,7 @@ def test_pixels_are_rounded() -> None:
     assert found.ids.dtype == np.int64
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("distance", [1.6, 2.2, 2.8])
 @pytest.mark.parametrize("towards", [0.0, 2.0])
 def test_small_markers_are_the_same_in_the_part_of_the_image_with_the_board(distance: float, towards: float) -> None:

@@ -28,6 +28,7 @@ ONE = tags("DICT_APRILTAG_36h11", PlacedTag(7, 0.1))
 SEVERAL = tags("DICT_4X4_50", PlacedTag(3, 0.1), PlacedTag(9, 0.1, 0.02, 0.2, -1.0), PlacedTag(5, 0.08, 0.2, 0.05, 0.4))
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("pattern", [ONE, SEVERAL, tags("DICT_5X5_100", PlacedTag(42, 0.1), inverted=True)])
 @pytest.mark.parametrize("camera", [VGA, HD_DISTORTED], ids=["pinhole", "distorted"])
 def test_corners_are_where_the_truth_projects_them(pattern: PatternConfiguration, camera: Camera) -> None:

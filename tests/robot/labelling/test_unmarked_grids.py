@@ -46,6 +46,7 @@ def test_corners_are_where_the_truth_projects_them() -> None:
     assert np.abs(off.mean(axis=0)).max() < 0.01
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize("roll", np.linspace(-np.pi, np.pi, 9))
 def test_a_board_without_symmetry_keeps_its_ids_at_any_angle(roll) -> None:
     """Ten by seven corners: eleven by eight squares, and only one of its ends begins with black."""
@@ -53,6 +54,7 @@ def test_a_board_without_symmetry_keeps_its_ids_at_any_angle(roll) -> None:
     assert np.linalg.norm(detected(UNIQUE, T).pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 0.5
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize("pattern", [TWOFOLD, SQUARE, SQUARE_FOURFOLD])
 @pytest.mark.parametrize("roll", [-0.5, 0.0, 0.4])
 def test_other_boards_are_numbered_from_the_most_upright_corner(pattern, roll) -> None:
@@ -65,6 +67,7 @@ def test_upside_down_they_are_numbered_from_the_other_end() -> None:
     assert np.linalg.norm(detected(TWOFOLD, T).pixels - true_corners(VGA, TWOFOLD, T)[::-1], axis=-1).max() < 0.5
 
 
+@pytest.mark.thorough(but_first=4)
 @pytest.mark.parametrize("pattern", [UNIQUE, TWOFOLD, SQUARE, SQUARE_FOURFOLD])
 @pytest.mark.parametrize("roll", [0.2, 1.5, 3.0, -2.0])
 def test_never_mirrored(pattern, roll) -> None:
@@ -82,6 +85,7 @@ def test_light_that_varies_over_the_board_is_no_colour() -> None:
     assert np.linalg.norm(found.pixels - true_corners(VGA, UNIQUE, T), axis=-1).max() < 1
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize("spot", [2, 5, 8])
 @pytest.mark.parametrize("corners", [(34,), (0,), (0, 13, 27, 69)])
 def test_corners_under_a_spot_are_left_out_and_cost_no_other(spot, corners) -> None:
@@ -142,6 +146,7 @@ def nothing_found(*_: Any, **__: Any) -> tuple[bool, None]:
     return False, None
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("camera", [VGA, HD_DISTORTED])
 def test_the_older_detector_finds_what_the_newer_one_misses_as_accurately(
     monkeypatch: pytest.MonkeyPatch, camera: Camera
@@ -213,6 +218,7 @@ def off(pattern: PatternConfiguration, T: Array, camera: Camera = VGA, image: Im
     return found.pixels - camera.project(apply(T, pattern.pattern().corners))[found.ids]
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("pattern", [SYMMETRIC, ASYMMETRIC], ids=lambda each: each.kind)
 @pytest.mark.parametrize("camera", [VGA, HD_DISTORTED], ids=["pinhole", "distorted"])
 def test_centres_of_large_circles_have_no_bias_at_45_degrees(pattern: PatternConfiguration, camera: Camera) -> None:

@@ -61,6 +61,7 @@ def as_it_is(dataset: Dataset) -> Dataset:
     return dataset.with_joints(values)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_our_command_makes_them_byte_for_byte(name: str, tmp_path: Path) -> None:
     shipped = DATASETS / name

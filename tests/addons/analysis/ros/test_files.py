@@ -46,6 +46,7 @@ def test_lines_of_cmake_are_those_of_the_file() -> None:
     assert (line, [each.line for each in arguments]) == (2, [2, 3, 5])
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize(
     "text",
     [
@@ -76,6 +77,7 @@ def test_lines_stay_where_comments_are_taken_out() -> None:
     assert without_comments("a<!-- b\nc -->d\n<!-- e\n") == "a\nd\n\n"
 
 
+@pytest.mark.thorough(but_first=4)
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("harm", [b"\xff\xfe\x00(", b"<" * 50_000, b"(" * 50_000, b"", b"[" * 50_000, b"${" * 50_000])
 def test_broken_files_are_findings_or_nothing(tmp_path: Path, version: int, harm: bytes) -> None:

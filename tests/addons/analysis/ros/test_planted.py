@@ -18,6 +18,7 @@ def test_packages_without_a_defect_have_no_finding(version: int, seed: int) -> N
     assert found_in(Workspace(version, seed).files) == []
 
 
+@pytest.mark.thorough(but_first=12)
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_a_planted_defect_is_found_at_its_line(kind: Kind) -> None:
     for seed in range(len(kind.edits)):

@@ -120,6 +120,7 @@ def test_writable_volumes_are_writable_for_all_users(aws: "Aws", places: Places)
     assert Path("/etc/hostname").stat().st_mode == before
 
 
+@pytest.mark.thorough(but_first=3)
 @pytest.mark.parametrize(
     ("data", "changes", "message"),
     [

@@ -77,6 +77,7 @@ def lines(aws: Aws, job: dict[str, Any], name: str) -> list[str]:
     return [event["message"] for event in events]
 
 
+@pytest.mark.thorough
 def test_containers_of_a_task_share_an_address_and_volumes(aws: Aws) -> None:
     server = "import http.server; http.server.HTTPServer(('127.0.0.1', 8000), http.server.SimpleHTTPRequestHandler)"
     asking = (

@@ -8,6 +8,7 @@ import pytest
 from tests.addons.aws_batch import example
 
 
+@pytest.mark.thorough
 def test_scenarios_run_without_an_account(
     tools_image: str, small: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -67,6 +67,7 @@ def told(outcomes: Sequence[JobOutcome]) -> list[tuple[object, ...]]:
     ]
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("python_image")
 def test_jobs_end_as_on_docker(batch_in_containers: Aws, tools_image: str, tmp_path: Path) -> None:
     (tmp_path / "in").mkdir()

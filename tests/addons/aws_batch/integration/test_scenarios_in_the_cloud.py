@@ -27,6 +27,7 @@ def section(tools_image: str, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.thorough
 def test_in_the_cloud_the_verdict_and_every_byte_are_the_same(
     on_docker: Path,
     small: Path,

@@ -43,6 +43,7 @@ def image(engine: "DockerClient", python_image: str, wheel: Path, tmp_path: Path
     engine.images.remove(str(built.id), force=True)
 
 
+@pytest.mark.thorough
 def test_a_task_with_this_image(image: str, batch_in_containers: Aws, python_image: str, tmp_path: Path) -> None:
     wanted = client.container(
         image=python_image, command=("touch", f"{OUTPUT}/it"), artifacts=(Artifact(f"{OUTPUT}/it"),)

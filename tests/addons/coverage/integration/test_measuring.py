@@ -19,6 +19,7 @@ OURS = sys.executable
 """With pytest and coverage.py of its own."""
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     "text",
     [
@@ -38,6 +39,7 @@ def test_a_python_without_coverage(run: Run, bare_python: str, text: str, capsys
     assert f"{text} | Ran 1 test in " in out
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("text", ["pytest -q -p no:cacheprovider", "tests"])
 def test_pytest(run: Run, root: Path, text: str) -> None:
     tests, measured, found = run(text, OURS)
@@ -65,6 +67,7 @@ def test_a_program_that_does_not_heed_pythonpath(run: Run, root: Path) -> None:
     assert found.files["robot/naming.py"].hits == {1: 1, 2: 0, 3: 0, 4: 0, 7: 1, 8: 1}
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_processes_that_the_tests_start(run: Run, root: Path, bare_python: str, method: str) -> None:
     test = f"""import multiprocessing, subprocess, sys, threading, unittest
@@ -111,6 +114,7 @@ def test_failures_say_where(run: Run, root: Path) -> None:
     assert found.files["robot/naming.py"] == NAMING_COVERAGE  # measured all the same
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     ("text", "interpreter"),
     [("pytest -q -p no:cacheprovider -k nothing", "ours"), ("unittest empty", "bare")],
@@ -121,6 +125,7 @@ def test_no_test_ran(run: Run, root: Path, bare_python: str, text: str, interpre
     assert tests.problem == "no test ran"
 
 
+@pytest.mark.thorough
 def test_all_tests_were_skipped(run: Run, root: Path) -> None:
     commit(root, {"tests/test_naming.py": "import pytest\npytestmark = pytest.mark.skip\ndef test(): pass\n"})
     tests, _, _ = run("pytest -q -p no:cacheprovider", OURS)
@@ -178,6 +183,7 @@ def test_a_sitecustomize_of_the_team_still_runs(
     assert measured.files
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("text", ["import no_such_module\n", "raise RuntimeError('x')\n", "raise ImportError('x')\n"])
 def test_a_sitecustomize_of_the_team_that_fails(
     run: Run, root: Path, bare_python: str, monkeypatch: pytest.MonkeyPatch, text: str, tmp_path: Path
@@ -218,6 +224,7 @@ def test_a_coverage_that_does_not_suit_the_python(run: Run, bare_python: str, tm
     assert "cannot be measured, neither with a coverage.py of its own nor with ours: SyntaxError: " in problem
 
 
+@pytest.mark.thorough
 def test_results_of_an_earlier_run_are_not_taken_for_this_ones(run: Run, tmp_path: Path) -> None:
     write(tmp_path, {"out/tests.xml": '<testsuites><testsuite><testcase name="old"/></testsuite></testsuites>'})
     tests, _, _ = run("pytest --no-such-option", OURS)

@@ -257,6 +257,7 @@ def test_a_share_of_the_benchmark(root: Path, judge: Judge, project: PlantedProj
     assert {name.rpartition(".")[2] for name in names(found)} == project.planted
 
 
+@pytest.mark.thorough
 def test_limits_are_of_the_change_or_of_all(root: Path, judge: Judge) -> None:
     base = "def old(a):\n    return a + 1\n"
     test = "from robot import arm\n\n\ndef test_arm():\n    arm.old(1)\n"
@@ -271,6 +272,7 @@ def test_limits_are_of_the_change_or_of_all(root: Path, judge: Judge) -> None:
     assert [each["changed"] for each in found["functions"]] == [True, False]
 
 
+@pytest.mark.thorough
 def test_fixtures_of_several_tests_belong_to_all_of_them(root: Path, judge: Judge) -> None:
     test = """import pytest
 from robot.naming import joined, split
@@ -286,6 +288,7 @@ def test_second(name): assert name == "a_b"
     assert (code, names(found)) == (0, {"split"})
 
 
+@pytest.mark.thorough
 def test_tests_that_need_others_or_that_fail_in_the_copy_judge_nothing(root: Path, judge: Judge) -> None:
     test = f"""import os
 from robot.naming import joined, split
@@ -301,6 +304,7 @@ def test_needs_its_place(): assert os.getcwd() == {str(root)!r} and split("a_b")
     assert [each["reason"] for each in found["unjudged"]] == ["its tests fail when they are run alone"]
 
 
+@pytest.mark.thorough
 def test_a_function_without_which_tests_never_end_is_tested(
     root: Path, judge: Judge, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -350,6 +354,7 @@ def test_the_budget(
     assert "one run of the tests took longer than 600 s (pseudo-tested-budget)" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("script", "message"),
     [
@@ -386,6 +391,7 @@ def test_commands_that_cannot_be_judged(
         assert len(err.splitlines()) == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [thorough(signal.SIGINT), signal.SIGTERM])
 def test_a_signal_leaves_nothing_behind(root: Path, tmp_path: Path, number: signal.Signals) -> None:
     test = f"""import os, subprocess, time

@@ -118,6 +118,7 @@ ARM_MISTAKES: dict[str, tuple[Callable[[Array], Array], str]] = {
 
 
 # The same equations with the board on the arm: what is tried is shown to be the same by some of them.
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     ("name", "mistake"),
     [("eye_to_hand", "wxyz and inverse"), ("eye_in_hand", "mm")]

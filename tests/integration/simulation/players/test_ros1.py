@@ -90,6 +90,7 @@ def play(container: "Container", service: str, *more: str, **settings: Any) -> t
     return found.exit_code, out, err
 
 
+@pytest.mark.thorough
 def test_every_pose_arrives_before_it_is_saved(ros: "Container") -> None:
     code, out, err = play(ros, "/save", "--frame", "stage", "--report", "report.json")
     assert (code, err) == (0, [])

@@ -34,6 +34,7 @@ def content(found: Capture) -> list[bytes]:
     return [array.tobytes() for array in arrays]
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_a_pose_is_the_same_in_any_part_of_the_motion(systems: dict[str, System], name: str) -> None:
     system = systems[name]

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import pytest
+
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
@@ -78,6 +80,7 @@ def test_a_camera_that_sees_an_aprilgrid_on_an_arm(tmp_path: Path) -> None:
     assert results.corner_rms < 0.06
 
 
+@pytest.mark.thorough
 def test_the_old_charuco_layout_with_an_even_number_of_rows(tmp_path: Path) -> None:
     results = collected(
         "riwbot",
@@ -89,6 +92,7 @@ def test_the_old_charuco_layout_with_an_even_number_of_rows(tmp_path: Path) -> N
     check(results)
 
 
+@pytest.mark.thorough
 def test_a_bent_pattern_is_less_accurate(tmp_path: Path) -> None:
     bent = {"simulation.yml": {"scene:": "patterns: {pattern_1: {bow_mm: [3, -2]}}\nscene:"}}
     results = []
@@ -103,6 +107,7 @@ def test_a_bent_pattern_is_less_accurate(tmp_path: Path) -> None:
     assert rms[1] < 1.5 * rms[0]  # the corners are found where they are: it is the pattern that is not as it is said
 
 
+@pytest.mark.thorough
 def test_a_pattern_that_swings_is_lost_for_that(tmp_path: Path) -> None:
     results = collected("t2rgb", tmp_path, {"simulation.yml": {"tilt_deg: 50": "tilt_deg: 50\n  sway_mm: 10"}})
     assert results.verdict == "fail"

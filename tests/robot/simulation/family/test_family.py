@@ -25,6 +25,7 @@ from tests.robot.simulation.family.robots import FAMILY, mrbot, mrjbot, rihbot, 
 NOISES = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("robot", FAMILY, ids=lambda robot: robot.name)
 def test_from_every_start_to_the_truth(robot: Robot, tmp_path: Path) -> None:
     system = robot.system(tmp_path)
@@ -41,6 +42,7 @@ def test_from_every_start_to_the_truth(robot: Robot, tmp_path: Path) -> None:
         assert all(each.error < 1e-6 for each in error.joints)
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("robot", FAMILY, ids=lambda robot: robot.name)
 def test_noise_in_the_labels_leaves_what_is_stated(robot: Robot, tmp_path: Path) -> None:
     system = robot.system(tmp_path)
@@ -72,6 +74,7 @@ def test_joints_at_both_ends_of_an_arm_are_refused_by_name(tmp_path: Path) -> No
         assert name in str(error.value)
 
 
+@pytest.mark.thorough
 def test_several_patterns_through_images(tmp_path: Path) -> None:
     """A detector that knows one pattern does not mistake another for it; what is collected calibrates."""
     rihmpbot.system(tmp_path)

@@ -27,6 +27,7 @@ def cube(centre: Array, size: float) -> Scene:
     return Scene(boxes=(Box(T, np.full(3, size)),))
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_pattern_runs_into_a_box(systems: dict[str, System], motions: dict[str, Motion], name: str) -> None:
     system, motion = systems[name], motions[name]

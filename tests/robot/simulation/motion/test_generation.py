@@ -159,6 +159,7 @@ def error(system: System, motion: Motion) -> float:
     return max(float(np.hypot(t / distance, r)) for t, r in predicted_sigmas(system, motion).values())
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_calibration_is_better_determined_than_by_other_choices(systems: dict[str, System], name: str) -> None:
     system = systems[name]
@@ -193,6 +194,7 @@ def test_the_joints_stay_within_their_limits(systems: dict[str, System], motions
         assert ((positions >= joint.lower) & (positions <= joint.upper)).all()
 
 
+@pytest.mark.thorough(but_first=2)
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_the_same_seed_gives_the_same_motion(systems: dict[str, System], name: str) -> None:
     documents = [motion_document(generate_motion(systems[name], 5, seed)) for seed in (4, 4, 5)]
@@ -241,6 +243,7 @@ def test_short_motions(systems: dict[str, System], count: int) -> None:
         assert len(generate_motion(system, count, 1)) == count
 
 
+@pytest.mark.thorough
 def test_a_system_that_only_atom_can_calibrate(systems: dict[str, System]) -> None:
     """A depth camera sees every pose too; without a second sensor the engine knows, poses cover the images."""
     system = systems["t2rgb"]

@@ -103,6 +103,7 @@ def in_steps(colour: Array) -> np.ndarray:
     return np.rint(np.clip(colour.astype(np.float32) * STEPS_PER_GREY_LEVEL, 0, 65535))
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("of", CAMERAS)
 def test_every_pixel_has_the_colour_that_its_own_rays_see(of: Camera) -> None:
     """The same image without cells and facets."""

@@ -79,6 +79,7 @@ def check(error: np.ndarray, limit: float) -> None:
     assert np.abs(error.mean(axis=0)).max() < 0.01
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(
     ("pattern", "legacy", "distortion", "limit"),
     [
@@ -94,6 +95,7 @@ def test_we_find_corners_where_they_are(
     check(errors(by_us, camera(1280, 720, 900, distortion), pattern, legacy), limit)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.skipif(
     tuple(map(int, cv2.__version__.split(".")[:2])) < (4, 14),
     reason="OpenCV before 4.14 finds the corners of charuco boards half a pixel beside their place",
@@ -108,6 +110,7 @@ def test_opencv_finds_corners_of_chessboards_where_they_are(distortion: PlumbBob
     check(errors(by_opencv, camera(1280, 720, 900, distortion), CHESSBOARD), limit)
 
 
+@pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize(("lens", "focal"), [(Equidistant(0.01, -0.002), 330.0), (DoubleSphere(-0.2, 0.59), 270.0)])
 def test_corners_beside_the_camera_are_where_they_are(lens: Distortion, focal: float) -> None:
     """A board that stands square to the ray at 100 degrees from the axis of a wide lens, on ground and before sky."""

@@ -54,6 +54,7 @@ def results(swaying: ScenarioSet) -> list[ScenarioResult]:
     return run_scenarios(swaying, range(SCENARIOS), 2, requirements=LENIENT)
 
 
+@pytest.mark.thorough
 def test_every_scenario_is_collected_and_calibrated(results: list[ScenarioResult]) -> None:
     assert [result.id for result in results] == [f"s1-{i:05d}" for i in range(SCENARIOS)]
     for result in results:

@@ -13,6 +13,7 @@ from tests.integration.execution.jobs import shell
 ALL = (Artifact(f"{OUTPUT}/*"),)
 
 
+@pytest.mark.thorough
 def test_artifacts_of_containers_with_any_user(tmp_path: Path) -> None:
     ran = run_task(
         tmp_path,

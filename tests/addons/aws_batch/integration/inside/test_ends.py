@@ -22,6 +22,7 @@ MIB = 1024**2
 EAT = "bytearray(300 * 2**20)"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("container", "end", "code", "reason"),
     [

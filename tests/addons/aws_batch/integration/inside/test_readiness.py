@@ -20,6 +20,7 @@ server.serve_forever()
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "ready",
     [
