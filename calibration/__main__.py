@@ -25,7 +25,7 @@ from calibration.base.errors import CalibrationError, ExitCode, solvable
 from calibration.base.optional import PACKAGE_OF_MODULE
 from calibration.base.process import Terminated, no_collector, run_process, terminate_cleanly
 from calibration.base.text import did_you_mean
-from calibration.ci.workflow import Runner, report_error, stop_commands
+from calibration.ci.workflow import Annotation, Level, Runner, annotate, report_error, stop_commands
 
 _HELP_OF_COMMAND = {
     "run": "Run the whole pipeline of calibration.yml.",
@@ -168,7 +168,10 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         # Warnings of packages are for developers: problems with the data are reported as errors.
         with terminate_cleanly(), warnings.catch_warnings(record=not runner.debug), solvable("the data"):
             loaded = load_command(command) if isinstance(command, str) else command
+            renamed = _former_inputs(loaded) if settings else ()
             with loaded.make_context(name, list(arguments), **settings) as context:
+                if settings:
+                    _tell_of_deprecated_inputs(runner, context, renamed)
                 code = loaded.invoke(context)
             return int(code or ExitCode.PASS)
     except click.exceptions.Exit as stop:
@@ -207,6 +210,22 @@ def _answer(runner: Runner, command: click.Command | str, name: str, arguments: 
         if _is_out_of_memory(error):
             raise MemoryError from None
         return _report_bug(runner, error)  # unexpected, hence a bug: print the traceback
+
+
+def _former_inputs(command: click.Command) -> tuple[str, ...]:
+    """Take inputs of the action by their former names, and return a line about each."""
+    from calibration.commands.parameters import take_former_inputs  # as the command's module does
+
+    return tuple(take_former_inputs(command, os.environ))
+
+
+def _tell_of_deprecated_inputs(runner: Runner, context: click.Context, renamed: Sequence[str]) -> None:
+    """Annotate inputs that the user gave: to an action, or to the workflow, whose first job tells for all of them."""
+    from calibration.commands.parameters import deprecated_inputs
+
+    if os.environ.get("GITHUB_ACTION_PATH") or context.info_name == "plan-matrix":
+        lines = (*renamed, *deprecated_inputs(context))
+        annotate(runner, [Annotation(line, Level.WARNING, title="deprecated input") for line in lines])
 
 
 def _is_out_of_memory(error: BaseException | None) -> bool:

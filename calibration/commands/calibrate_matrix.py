@@ -72,12 +72,12 @@ class MatrixSettings:
     password_variable: str | None = None
     backend: str | None = field("Where its containers run: docker (this machine), or aws-batch (docker).", default=None)
     aws_batch: Path | None = field("YAML file with the section aws-batch (config, or calibration.yml).", default=None)
-    run: str | None = field("Name of the run on AWS Batch (a new one).", default=None)
+    run_name: str | None = field("Name of the run on AWS Batch (a new one).", default=None, formerly="run")
     resume: bool = field(
         "On AWS Batch: run only what is missing of the run of this name, or into this folder.", default=False
     )
-    jobs: Annotated[int, at_least(1)] | None = field(
-        "Number of parallel processes or containers (one per core).", default=None
+    parallel: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None, formerly="jobs"
     )
     fail_fast: bool = field("The first cell that fails stops the others.", default=False)
     output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
@@ -100,14 +100,19 @@ class MatrixSettings:
 
 @click.command(COMMAND_NAME)
 @record_options(MatrixSettings, "dataset", "config", "systems")
-@record_options(Noise, names=NOISE_OPTION_OF_KEY)
-@record_options(System)
-@record_options(MatrixSettings, "rules")
-@record_options(Software, *OF_SOFTWARE, helps=OF_SOFTWARE)
+@record_options(Noise, "translation", "rotation", "seeds", names=NOISE_OPTION_OF_KEY)
+@record_options(Noise, "seed-list", instead="noise")
+@record_options(System, instead="systems.NAME")
+@record_options(MatrixSettings, "rules", instead="systems.NAME", written="what the file has")
+@record_options(Software, "image", helps=OF_SOFTWARE)
+@record_options(Software, *list(OF_SOFTWARE)[1:], helps=OF_SOFTWARE, instead="systems.NAME.software")
 @record_options(MatrixSettings, "registry-username")
 @registry_password_option
-@record_options(MatrixSettings, "backend", "aws-batch", "run", "resume", "jobs", "fail-fast", "output")
-@record_options(Repetitions)
+@record_options(MatrixSettings, "backend", instead="")
+@record_options(MatrixSettings, "aws-batch", instead="", written="what the file has")
+@record_options(MatrixSettings, "run-name", "resume", "parallel", "fail-fast", "output")
+@record_options(Repetitions, "repeat")
+@record_options(Repetitions, "max-flake-rate", instead="")
 @click.pass_context
 def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     """Calibrate systems from every noisy start; the verdict is fail if one of them fails."""
@@ -125,7 +130,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
         runner,
         COMMAND_NAME,
         settings.config,
-        settings.jobs,
+        settings.parallel,
         settings.fail_fast,
         baseline=baseline,
         target=target,
@@ -148,15 +153,17 @@ def target_of(
     in_cloud = backend in CLOUDS and bool(matrix.software)
     if not in_cloud and settings.backend in CLOUDS:
         raise InputError(f"backend: found {backend}, which runs the team's own software: give image and command")
-    if not in_cloud and (settings.run is not None or settings.resume):
-        raise InputError(f"{'run' if settings.run is not None else 'resume'}: is for the backend {CLOUDS_TEXT}")
+    if not in_cloud and (settings.run_name is not None or settings.resume):
+        raise InputError(
+            f"{'run-name' if settings.run_name is not None else 'resume'}: is for the backend {CLOUDS_TEXT}"
+        )
     if in_cloud and settings.registry_username is not None:
         raise InputError(f"registry-username: {backend} pulls with its execution role; push the image to ECR")
     return execution_target(
         backend if in_cloud else DOCKER,
         settings.aws_batch,
         settings.output,
-        settings.run,
+        settings.run_name,
         settings.resume,
         runner,
         configuration.sections if configuration else None,

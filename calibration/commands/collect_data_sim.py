@@ -55,6 +55,8 @@ from calibration.robot.simulation.system import System
 Tolerance = Annotated[float, at_least(0)]
 OF_DATASET = ("robot", "config", "motion", "seed", "minimum-collections", "minimum-detection-rate", "minimum-coverage")
 """Keys of `CollectionRequest` that are options of every collection."""
+OPTION_OF_KEY = {"config": "atom-config"}
+"""Options of `CollectionRequest` whose names differ from its keys."""
 OF_APPLICATIONS = ("image", "player", "ros", "truth", "timeout")
 """Keys of `CollectionRequest` that are options of collections in containers."""
 
@@ -75,15 +77,17 @@ class CollectionSettings:
     stillness_mm: Tolerance | None = field("Largest movement of the pattern during a collection, mm (2).", default=None)
     backend: str | None = field("embedded, or containers on docker or aws-batch.", default=None)
     aws_batch: Path | None = field("YAML file with the section aws-batch (calibration.yml).", default=None)
-    run: str | None = field("Name of the run in containers or the cloud (a new one).", default=None)
+    run_name: str | None = field(
+        "Name of the run in containers or the cloud (a new one).", default=None, formerly="run"
+    )
     resume: bool = field("Run only what is missing of an earlier run into this folder, or of this name.", default=False)
     applications: Path | None = field("YAML file of the team's applications, each in a container.", default=None)
     simulation_command: str | None = field(
         "Command of the simulation application, instead of a file of applications.", default=None
     )
     robot_command: str | None = field("Command of the robot application, which labels and saves.", default=None)
-    jobs: Annotated[int, at_least(1)] | None = field(
-        "Number of parallel processes or containers (one per core).", default=None
+    parallel: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None, formerly="jobs"
     )
     output: Path = field("Folder for the dataset, or for the report on the scenarios.")
     overwrite: bool = field("Replace a dataset that the folder has.", default=False)
@@ -174,20 +178,22 @@ def _limits_of_truth(settings: CollectionSettings, limits: CollectionLimits) -> 
 MAX_SHOWN_LOGS = 16
 """Limit of scenarios whose containers' logs are shown; with more, the logs are only in files."""
 _UNTIL_APPLICATIONS = tuple(
-    key for key in option_keys(CollectionSettings) if key not in ("system", "jobs", "output", "overwrite")
+    key for key in option_keys(CollectionSettings) if key not in ("system", "parallel", "output", "overwrite")
 )
 
 
 @click.command("collect-data-sim")
 @record_options(CollectionSettings, "system", required=True)
-@record_options(CollectionRequest, *OF_DATASET)
+@record_options(CollectionRequest, "robot")
+@record_options(CollectionRequest, "config", names=OPTION_OF_KEY, formerly="config")
+@record_options(CollectionRequest, *OF_DATASET[2:])
 @record_options(CollectionSettings, *_UNTIL_APPLICATIONS)
 @record_options(CollectionRequest, *OF_APPLICATIONS)
-@record_options(CollectionSettings, "jobs", "output", "overwrite", required=True)
+@record_options(CollectionSettings, "parallel", "output", "overwrite", required=True)
 @record_options(Repetitions)
 def command(**options: Any) -> ExitCode:
     """Collect a dataset in simulation: images, point clouds, labels and ground truth; and calibrate it."""
-    keys = given(CollectionRequest, options, *OF_DATASET, *OF_APPLICATIONS)
+    keys = given(CollectionRequest, options, *OF_DATASET, *OF_APPLICATIONS, names=OPTION_OF_KEY)
     settings = chosen(CollectionSettings, options, keys=keys)
     runner = Runner.from_environment()
     applications = described_applications(settings)
@@ -246,8 +252,8 @@ def _check_settings(settings: CollectionSettings, backend: str, applications: bo
         if "image" not in settings.keys:
             raise InputError(f"image: missing: {backend} runs every scenario in an image that has calibration-ci")
         return
-    for name in ("image", "timeout", "run"):
-        if name in settings.keys or (name == "run" and settings.run is not None):
+    for name in ("image", "timeout", "run-name"):
+        if name in settings.keys or (name == "run-name" and settings.run_name is not None):
             raise InputError(
                 f"{name}: is for containers: give applications, or simulation-command and robot-command, or backend "
                 f"{containers} with a scenario-set"
@@ -298,7 +304,7 @@ def _one_scenario(
         stop_commands(runner) if embedded else nullcontext(),  # names in files are untrusted
         progress(runner, COMMAND_NAME, bar=embedded, kept="poses") as advance,
     ):
-        results = collect_dataset(request, settings.output, settings.overwrite, settings.jobs, begin, done)
+        results = collect_dataset(request, settings.output, settings.overwrite, settings.parallel, begin, done)
     found = report.report(results, settings.output)
     if settings.scenario is None:  # a scenario of many must have the same files wherever it is collected
         sheet = settings.output / report.CONTACT_SHEET if results.contact_sheet else None
@@ -336,7 +342,7 @@ def _many_scenarios(
         stop_commands(runner) if embedded else nullcontext(),
         progress(runner, COMMAND_NAME, bar=embedded, kept="scenarios" if embedded else "") as advance,
     ):
-        results = collect_scenarios(request, folder, settings.jobs, begin, done)
+        results = collect_scenarios(request, folder, settings.parallel, begin, done)
     found = scenario_report.report(results, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code
@@ -351,6 +357,6 @@ def _target_of(settings: CollectionSettings, backend: str, runner: Runner) -> Ex
     """
     if backend == EMBEDDED:
         return ExecutionTarget()
-    found = execution_target(backend, settings.aws_batch, settings.output, settings.run, settings.resume, runner)
+    found = execution_target(backend, settings.aws_batch, settings.output, settings.run_name, settings.resume, runner)
     many = settings.scenarios is not None and settings.scenarios > MAX_SHOWN_LOGS
     return found if backend == DOCKER and many else replace(found, show=LogDisplay(runner))

@@ -54,8 +54,8 @@ SHARED_OPTIONS = frozenset(
             for key in (*option_keys(System), *OF_SOFTWARE)
             if key not in ("start", "compare", "datasets", "undecided")
         ),
-        *("dataset", "config", "systems", "rules", "jobs"),
-        *("registry_username", "registry_password", "backend", "aws_batch", "run", "resume"),
+        *("dataset", "config", "systems", "rules", "parallel"),
+        *("registry_username", "registry_password", "backend", "aws_batch", "run_name", "resume"),
     }
 )
 """Options of ``calibrate-matrix`` with the same meaning here."""
@@ -164,7 +164,7 @@ def command(
                 important=cell.error == ExitCode.INFRASTRUCTURE,
             )
 
-        cells = run_sweep(matrices, asked.output, asked.jobs, done, replace(target, show=LogDisplay(runner)))
+        cells = run_sweep(matrices, asked.output, asked.parallel, done, replace(target, show=LogDisplay(runner)))
     source = (
         f"--dataset {shlex.quote(str(asked.dataset))}" if asked.dataset else f"--config {asked.config or DEFAULT_FILE}"
     )

@@ -21,10 +21,12 @@ from calibration.robot.importing.results import IMPORT_TITLE, report
 class ImportSettings:
     """Inputs of ``import-data``."""
 
-    config: Path = field("Description of the recordings and of the system to calibrate: import.yml.")
+    recordings: Path = field(
+        "Description of the recordings and of the system to calibrate: import.yml.", formerly="config"
+    )
     output: Path = field("Folder for the dataset.")
     overwrite: bool = field("Replace a dataset that the folder has.", default=False)
-    jobs: Annotated[int, at_least(1)] | None = field("Processes (one a core).", default=None)
+    parallel: Annotated[int, at_least(1)] | None = field("Processes (one a core).", default=None, formerly="jobs")
 
 
 @click.command("import-data")
@@ -43,7 +45,7 @@ def command(**options: Any) -> ExitCode:
         advance(count, total, f"corners: {', '.join(found)}")
 
     with progress(runner, IMPORT_TITLE, kept="parts") as advance:
-        results = import_data(settings.config, settings.output, settings.overwrite, settings.jobs, done)
+        results = import_data(settings.recordings, settings.output, settings.overwrite, settings.parallel, done)
     found = report(results, settings.output)
     publish(found, runner, settings.output)
     return found.exit_code

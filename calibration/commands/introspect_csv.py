@@ -14,7 +14,7 @@ from calibration.base.tables.table_verdict import judge
 from calibration.ci.introspection import introspection_report, read_rules
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import TEXT_LIST, path, record_options, text
+from calibration.commands.parameters import TEXT_LIST, ActionInput, path, record_options, text
 
 
 @click.command("introspect-csv")
@@ -29,7 +29,13 @@ from calibration.commands.parameters import TEXT_LIST, path, record_options, tex
 @click.option("--does-not-contain", help="Text that the cell does not contain.")
 @click.option("--matches", help="Regular expression that the whole cell matches.")
 @record_options(RuleEntry, "max-increase", "max-decrease")
-@click.option("--baseline", type=path, help="CSV file that max-increase and max-decrease compare with.")
+@click.option(
+    *("--base-csv", "--baseline"),
+    cls=ActionInput,
+    formerly="baseline",
+    type=path,
+    help="CSV file that max-increase and max-decrease compare with.",
+)
 @record_options(RuleSet, "required-rows", "min-rows", "key-column", "exclude-summary-rows", "summary-rows")
 @click.option("--delimiter", help="comma, semicolon, tab, pipe or a character (detected).")
 @click.option("--encoding", type=text, help="Text encoding (detected).")
@@ -44,17 +50,17 @@ def command(**options: Any) -> ExitCode:
     files = given.get("file") or ((rules.file,) if rules.file else ())
     if not files:
         raise InputError("file is not given: name the CSV files to judge")
-    if rules.compares and "baseline" not in given:
-        raise InputError("baseline is not given: max-increase and max-decrease need one to compare with")
-    if not rules.compares and "baseline" in given:
-        raise InputError("baseline is given but no max-increase or max-decrease, so nothing would be compared with it")
+    if rules.compares and "base-csv" not in given:
+        raise InputError("base-csv is not given: max-increase and max-decrease need one to compare with")
+    if not rules.compares and "base-csv" in given:
+        raise InputError("base-csv is given but no max-increase or max-decrease, so nothing would be compared with it")
     output = given.get("output")
     if output is not None:  # so that they are not mistaken for current ones
         remove_results(output, FILES)
     delimiter = parse_delimiter(given["delimiter"]) if "delimiter" in given else None
     encoding = given.get("encoding")
     tables = [read_table(file, delimiter, encoding) for file in matching(files)]
-    baseline = read_table(given["baseline"], delimiter, encoding) if "baseline" in given else None
+    baseline = read_table(given["base-csv"], delimiter, encoding) if "base-csv" in given else None
     found = introspection_report([judge(table, rules, baseline) for table in tables])
     publish(found, Runner.from_environment(), output)
     return found.exit_code

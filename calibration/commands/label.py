@@ -8,7 +8,7 @@ from calibration.base.errors import ExitCode
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.progress import progress
-from calibration.commands.parameters import boolean_option, count, path
+from calibration.commands.parameters import ActionInput, boolean_option, count, path
 from calibration.robot.importing.patterns.image_views import LabelledMoment
 from calibration.robot.importing.relabelling import label_dataset
 from calibration.robot.importing.results import label_report
@@ -19,8 +19,8 @@ from calibration.robot.importing.results import label_report
 @click.option("--output", type=path, required=True, help="Folder for the labelled dataset.")
 @boolean_option("--again", help="Label images again that already have labels.")
 @boolean_option("--overwrite", help="Replace a dataset that the output has.")
-@click.option("--jobs", type=count, help="Processes (one a core).")
-def command(dataset: Path, output: Path, again: bool, overwrite: bool, jobs: int | None) -> ExitCode:
+@click.option(*("--parallel", "--jobs"), cls=ActionInput, formerly="jobs", type=count, help="Processes (one a core).")
+def command(dataset: Path, output: Path, again: bool, overwrite: bool, parallel: int | None) -> ExitCode:
     """Detect the patterns in the images of a dataset's cameras; labels of other sensors are kept."""
     runner = Runner.from_environment()
 
@@ -29,7 +29,7 @@ def command(dataset: Path, output: Path, again: bool, overwrite: bool, jobs: int
         advance(number, total, f"corners: {', '.join(found)}")
 
     with progress(runner, "label", kept="collections") as advance:
-        results = label_dataset(dataset, output, again, overwrite, jobs, done)
+        results = label_dataset(dataset, output, again, overwrite, parallel, done)
     found = label_report(results, output)
     publish(found, runner, output)
     return found.exit_code

@@ -4,11 +4,12 @@ A value comes from the command line or, in an action, from an environment variab
 so lists are single values with separators, and booleans can be written out.
 """
 
+import json
 import math
 import os
 import re
 import typing
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, MutableMapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Literal, TypeVar
@@ -125,10 +126,65 @@ INTEGER_LIST = list_of(integer)
 PATH_LIST = list_of(path)
 
 
+class ActionInput(click.Option):
+    """Option whose input of an action is deprecated: a key of calibration.yml says it now, or it has another name.
+
+    As an option of the command line it stays.
+    """
+
+    def __init__(self, *args: Any, instead: str = "", written: Any = None, formerly: str = "", **settings: Any) -> None:
+        """Create the option.
+
+        Args:
+            args: as of `click.Option`.
+            instead: the key of calibration.yml that replaces the input, such as ``systems.NAME.evaluate``.
+            written: what that key gets, where it is not the value of the input.
+            formerly: former name of the option and the input.
+            settings: as of `click.Option`.
+        """
+        super().__init__(*args, **settings)
+        self.instead, self.written, self.formerly = instead, written, formerly
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Return the line of ``--help``, without the former name."""
+        shown = super().get_help_record(ctx)
+        return shown and (shown[0].replace(f", --{self.formerly}", ""), shown[1])
+
+
+def _variable_of_input(name: str) -> str:
+    return f"INPUT_{name.upper().replace('-', '_')}"
+
+
+def take_former_inputs(command: click.Command, environment: MutableMapping[str, str]) -> Iterator[str]:
+    """Give the variables of inputs with a former name the present one, and yield a line about each for the user."""
+    for option in command.params:
+        if isinstance(option, ActionInput) and (value := environment.get(_variable_of_input(option.formerly))):
+            name = option.opts[0].removeprefix("--")
+            if not environment.get(_variable_of_input(name)):
+                environment[_variable_of_input(name)] = value
+            yield f"input '{option.formerly}' is deprecated: write {name}"
+
+
+def deprecated_inputs(context: click.Context) -> Iterator[str]:
+    """Yield a line for each given input of an action that calibration.yml replaces: what to write there."""
+    for option in context.command.params:
+        if not isinstance(option, ActionInput) or not option.instead or option.name is None:
+            continue
+        value = context.params[option.name]
+        if value is False or context.get_parameter_source(option.name) is not click.core.ParameterSource.ENVIRONMENT:
+            continue
+        value = _in_document(value) if option.written is None else option.written
+        for key in reversed(option.instead.split(".")):
+            value = {key: value}
+        text = json.dumps(value, ensure_ascii=False)  # YAML too
+        yield f"input '{option.opts[0].removeprefix('--')}' is deprecated: write in calibration.yml {text}"
+
+
 def boolean_option(
     *names: str,
     help: str,  # noqa: A002 (click's word)
     default: bool | None = False,
+    **settings: Any,
 ) -> Callable[[_Callback], _Callback]:
     """Declare an option that can be written ``--flag``, ``--flag true`` or ``--flag no``."""
 
@@ -136,7 +192,9 @@ def boolean_option(
         return default if value is None else value
 
     # Not with click's default parameter: with it, click 8.3.0 and 8.3.1 require a value after the flag.
-    return click.option(*names, type=boolean, is_flag=False, flag_value="true", callback=or_default, help=help)
+    return click.option(
+        *names, type=boolean, is_flag=False, flag_value="true", callback=or_default, help=help, **settings
+    )
 
 
 def find_system(system: str) -> Path | None:
@@ -198,6 +256,8 @@ def record_options(
     names: Mapping[str, str] | None = None,
     helps: Mapping[str, str] | None = None,
     required: bool = False,
+    instead: str | None = None,
+    **settings: str,
 ) -> Callable[[_Callback], _Callback]:
     """Decorate a command with options for fields of a record; booleans become flags.
 
@@ -207,6 +267,9 @@ def record_options(
         names: names of options that differ from their keys, by key.
         helps: help of options that differs from the field's, by key.
         required: whether the options of required fields are required.
+        instead: for options whose inputs calibration.yml replaces: the key there of the whole record, such as
+            ``systems.NAME``, or empty for the file itself.
+        settings: further ones of `ActionInput`.
     """
     fields = flat_fields(kind)
 
@@ -214,12 +277,19 @@ def record_options(
         for key in reversed(keys or option_keys(kind)):
             own = fields[key].option
             sentence = (helps or {}).get(key) or (own if isinstance(own, str) else fields[key].help)
-            name, base = f"--{(names or {}).get(key, key)}", fields[key].type
+            flags, base = [f"--{(names or {}).get(key, key)}"], fields[key].type
+            more: dict[str, Any] = {"help": sentence, **settings}
+            if former := settings.get("formerly", fields[key].formerly):
+                flags.append(f"--{former}")
+                more |= {"formerly": former}
+            if instead is not None:
+                more |= {"instead": f"{instead}.{key}".removeprefix(".")}
+            if more.keys() - {"help"}:
+                more |= {"cls": ActionInput}
             if bool in (base, *typing.get_args(base)):
-                boolean_option(name, help=sentence, default=None)(command)
+                boolean_option(*flags, default=None, **more)(command)
             else:
-                needed = required and fields[key].required
-                click.option(name, type=_type_of(base), help=sentence, required=needed)(command)
+                click.option(*flags, type=_type_of(base), required=required and fields[key].required, **more)(command)
         return command
 
     return declare

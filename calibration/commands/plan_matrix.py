@@ -1,6 +1,7 @@
 """``plan-matrix``: plan the jobs of the reusable workflow, in its first job."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from calibration.commands.parameters import (
     NOISE_OPTION_OF_KEY,
     PATH_LIST,
     TEXT_LIST,
+    ActionInput,
     artifact_name,
+    boolean_option,
     chosen,
     given,
     path,
@@ -29,19 +32,50 @@ from calibration.pipeline.distribution.plan import (
     plan_outputs,
     plan_text,
 )
-from calibration.pipeline.system import Noise
+from calibration.pipeline.system import Noise, System
+
+
+def _inputs_of_other_jobs(command: Callable[..., ExitCode]) -> Callable[..., ExitCode]:
+    """Declare deprecated inputs of the workflow that other jobs use: the first job tells that they are."""
+    told: dict[str, tuple[str, str | None]] = {"rules": ("systems.NAME.rules", "what the file has")}
+    told |= {f"analysis-{key}": (f"analysis.{key}", None) for key in ("max-new", "max-total", "max-file")}
+    for name, (key, written) in told.items():
+        used_later: dict[str, Any] = {"cls": ActionInput, "instead": key, "written": written, "type": TEXT_LIST}
+        command = click.option(f"--{name}", **used_later, help="Used by a later job.")(command)
+    return command
 
 
 @click.command("plan-matrix")
 @click.option("--config", type=path, help="The configuration (calibration.yml).")
-@click.option("--datasets", type=PATH_LIST, help="Datasets, each a system; instead of config.")
+@click.option(
+    "--datasets",
+    cls=ActionInput,
+    instead="systems.NAME.dataset",
+    written="the folder",
+    type=PATH_LIST,
+    help="Datasets, each a system; instead of config.",
+)
 @click.option("--systems", type=TEXT_LIST, help="Only these systems.")
 @record_options(
     Noise,
+    *("translation", "rotation", "seeds"),
     names=NOISE_OPTION_OF_KEY,
     helps={"seeds": "How many seeds for each pair of noises (1); always inside a job."},
 )
-@record_options(JobInputs)
+@record_options(Noise, "seed-list", instead="noise")
+@record_options(System, "evaluate", instead="systems.NAME")
+@record_options(JobInputs, "noise-inside-cells", "image")
+@record_options(JobInputs, "command", instead="systems.NAME.software")
+@record_options(JobInputs, "tests")
+@boolean_option(
+    "--analyse",
+    cls=ActionInput,
+    instead="analysis",
+    written={},
+    help="Analyse the code of the repository (no).",
+)
+@_inputs_of_other_jobs
+@record_options(JobInputs, "jobs", "may-promote", "minute-rate")
 @click.option("--artifact-name", type=artifact_name, help="Prefix of the artifact names (calibration).")
 @click.option("--plan-file", type=path, help="File for the plan, which gather-results reads.")
 def command(

@@ -27,8 +27,8 @@ class RunSettings:
     config: Path = field("The configuration (calibration.yml).", default=DEFAULT_FILE)
     output: Path = field("Folder for results, tables and datasets (output).", default=Path("output"))
     only: tuple[str, ...] = field(f"Only these stages: {', '.join(STAGES)}.", default=())
-    jobs: Annotated[int, at_least(1)] | None = field(
-        "Number of parallel processes or containers (one per core).", default=None
+    parallel: Annotated[int, at_least(1)] | None = field(
+        "Number of parallel processes or containers (one per core).", default=None, formerly="jobs"
     )
     push: bool | None = field("Push the image; if false, it is not promoted either (as in config).", default=None)
     repetitions: Mapping[str, Any] = dataclass_field(default_factory=dict)
@@ -37,7 +37,8 @@ class RunSettings:
 
 @click.command("run")
 @record_options(RunSettings)
-@record_options(Repetitions)
+@record_options(Repetitions, "repeat")
+@record_options(Repetitions, "max-flake-rate", instead="")
 def command(**options: Any) -> ExitCode:
     """Run the pipeline of calibration.yml, stage by stage; the verdict is fail if one of them fails."""
     settings = chosen(RunSettings, options, repetitions=given(Repetitions, options))
@@ -58,7 +59,7 @@ def run(settings: RunSettings, runner: Runner) -> ExitCode:
         settings.output,
         runner,
         config=settings.config,
-        jobs=settings.jobs,
+        jobs=settings.parallel,
         simulations=configuration.simulations,
         image=_image_to_build(configuration.image, settings.push),
         baseline=configuration.baseline,

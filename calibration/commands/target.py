@@ -44,7 +44,9 @@ def execution_target(
     if file is not None or sections is None or sections.of(backend) is None:
         sections = read_sections(backend, file or DEFAULT_FILE)
     name = name_of_run(output, run, resume)
-    runner.log(f"run {name} on {sections.of(backend).where}; with --run {name} --resume only what is missing is run")
+    runner.log(
+        f"run {name} on {sections.of(backend).where}; with --run-name {name} --resume only what is missing is run"
+    )
     return ExecutionTarget(backend, sections, name, resume)
 
 

@@ -298,7 +298,7 @@ def _finished(recording: WatchedRecording, output: Path | None, overwrite: bool)
     list(recording.calibrate())
     found, counts = recording.calibrated, recording.judge.counts
     folder = recording.config.resolve().parent.name
-    command = f"calibration import-data --config {recording.config} --output data/{folder}"
+    command = f"calibration import-data --recordings {recording.config} --output data/{folder}"
     if counts["unreadable"] or counts["other size"] or counts["same as before"]:
         command = f"calibration watch {recording.config} --idle 2 --output data/{folder}  # only the used views"
     then = f"make a dataset of it: {command}"

@@ -20,7 +20,18 @@ from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepth
 from calibration.robot.simulation.system import Simulation
 from tests.lint.documents import made_whole, yaml_blocks
 
-from .write_inputs import COMMENT, FILES, PAGES, SHOWN, described_keys, options, schema_file, with_inputs, with_parts
+from .write_inputs import (
+    COMMENT,
+    FILES,
+    PAGES,
+    SHOWN,
+    deprecated,
+    described_keys,
+    options,
+    schema_file,
+    with_inputs,
+    with_parts,
+)
 
 PROJECT = Path(__file__).resolve().parents[2]
 SUITE = DEFAULT_SUITE.partition("@")[0]
@@ -87,10 +98,10 @@ def test_every_input_reaches_its_option(name: str, action: dict[str, Any], step:
     inputs = [each for each in action["inputs"] if name != "run" or each not in COMMENT]
     variables = {name: f"INPUT_{name.upper().replace('-', '_')}" for name in inputs}
     assert step["env"] == {variable: f"${{{{ inputs.{name} }}}}" for name, variable in variables.items()}
-    # click reads the variable that it makes of the parameter's name.
-    assert {option: f"INPUT_{(declared.name or '').upper()}" for option, declared in options(name).items()} | {
-        "python": "INPUT_PYTHON"
-    } == variables
+    # click reads the variable that it makes of the parameter's name; former names come before it.
+    of_options = {option: f"INPUT_{(declared.name or '').upper()}" for option, declared in options(name).items()}
+    former = {old: f"INPUT_{old.upper().replace('-', '_')}" for old in deprecated(name)}
+    assert {**former, **of_options, "python": "INPUT_PYTHON"} == variables
 
 
 def test_inputs_are_documented_and_have_their_default_in_python(action: dict[str, Any]) -> None:
@@ -261,7 +272,7 @@ def test_examples_call_the_reusable_workflow_right(examples: list[Any]) -> None:
     assert jobs
     for job in jobs:
         assert job["uses"] == f"{SUITE}/.github/workflows/pipeline.yml@v1"
-        assert set(job.get("with", {})) <= set(called["inputs"])
+        assert set(job.get("with", {})) <= set(called["inputs"]) - deprecated("plan-matrix").keys()
         assert set(job.get("secrets", {})) <= set(called["secrets"])
 
 
@@ -274,7 +285,8 @@ def test_every_action_has_an_example_and_each_is_right(examples: list[Any]) -> N
             path, _, tag = step["uses"].partition("@")
             name = path.partition("/actions/")[2] or "run"
             assert (path, tag) == (SUITE + (f"/actions/{name}" if name != "run" else ""), "v1")
-            assert set(step.get("with", {})) <= {*options(name), *(COMMENT if name == "run" else ())}
+            known = {*options(name), *(COMMENT if name == "run" else ())} - deprecated(name).keys()
+            assert set(step.get("with", {})) <= known
             used.add(name)
     assert used == set(FILES)
 

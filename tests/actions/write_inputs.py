@@ -7,7 +7,7 @@ Schemas that ship and the pages of the configuration files, the headings of a pa
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import click
 import yaml
 
 from calibration.__main__ import load_command
+from calibration.commands.parameters import ActionInput
 from calibration.commands.schema import SHIPPED_SCHEMAS, generated
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -37,16 +38,35 @@ def options(name: str) -> dict[str, click.Option]:
     return {option.opts[0].removeprefix("--"): option for option in params if isinstance(option, click.Option)}
 
 
-def with_inputs(text: str, name: str, lock: str) -> str:
-    """Return the text of an action.yml with the inputs of the command, and the one for the interpreter."""
-    inputs = env = ""
+def deprecated(name: str) -> dict[str, str]:
+    """Return what replaces the deprecated inputs of a command, by their names."""
+    replaced = {}
     for option, declared in options(name).items():
+        if isinstance(declared, ActionInput):
+            replaced |= {option: f"the key {declared.instead} of calibration.yml"} if declared.instead else {}
+            replaced |= {declared.formerly: option} if declared.formerly else {}
+    return replaced
+
+
+def with_inputs(text: str, name: str, lock: str) -> str:
+    """Return the text of an action.yml with the inputs of the command, and the one for the interpreter.
+
+    Deprecated ones have no deprecationMessage: the command tells of them on every runner, GitHub would tell once more.
+    """
+    inputs = env = ""
+    replaced = deprecated(name)
+    for option, declared in options(name).items():
+        if option in replaced:
+            continue
         inputs += f"  {option}:\n    description: {scalar(declared.help or '')}\n"
-        inputs += "    required: true\n" if declared.required else ""
+        former = isinstance(declared, ActionInput) and declared.formerly
+        inputs += "    required: true\n" if declared.required and not former else ""
     for option, text_of in COMMENT.items() if name == "run" else ():
         inputs += f"  {option}:\n    description: {scalar(text_of)}\n"
     inputs += f"  python:\n    description: {scalar(PYTHON.format(lock=lock))}\n"
-    for option in [*options(name), "python"]:
+    for option, instead in replaced.items():
+        inputs += f"  {option}:\n    description: {scalar(f'Deprecated: {instead}.')}\n"
+    for option in [*(each for each in options(name) if each not in replaced), "python", *replaced]:
         env += f"        INPUT_{option.upper().replace('-', '_')}: ${{{{ inputs.{option} }}}}\n"
     text = re.sub(r"(?<=^inputs:\n).*?(?=^\n)", lambda _: inputs, text, flags=re.MULTILINE | re.DOTALL)
     return re.sub(r"(?<=^      env:\n)(?: {8}.*\n)+", lambda _: env, text, count=1, flags=re.MULTILINE)
@@ -109,13 +129,29 @@ def tables(name: str) -> str:
     """Return what an action takes and gives, as its action.yml says."""
     action = yaml.safe_load(SHOWN[name].read_text())
     action = action if "inputs" in action else action[True]["workflow_call"]  # YAML 1.1 reads `on` as true
-    text = ""
+    text, old = "", dict[str, str]()
     for kind in (each for each in ("inputs", "secrets", "outputs") if each in action):
         text += f"| {kind[:-1]} | |\n| --- | --- |\n"
         for key, entry in action[kind].items():
-            text += f"| `{key}` | {entry['description'].strip().replace('*', '&#42;').replace('|', '&#124;')} |\n"
+            described = entry["description"].strip().replace("*", "&#42;").replace("|", "&#124;")
+            if described.startswith("Deprecated: "):
+                old[key] = described.removeprefix("Deprecated: ").removesuffix(".")
+            else:
+                text += f"| `{key}` | {described} |\n"
         text += "\n"
-    return text
+    return text + old_names(old)
+
+
+def old_names(replaced: Mapping[str, str]) -> str:
+    """Return a paragraph on deprecated inputs: those of each place in calibration.yml, and new names."""
+    inputs_of: dict[str, list[str]] = {}
+    for name, instead in replaced.items():
+        found = re.fullmatch(r"the key (?:(.*)\.)?(.*) of calibration\.yml", instead)
+        place = f"now in calibration.yml, {found[1] or 'at its top'}" if found else f"now `{instead}`"
+        new_name = f" as `{found[2]}`" if found and found[2] != name else ""
+        inputs_of.setdefault(place, []).append(f"`{name}`{new_name}")
+    lists = [f"{', '.join(names)} ({place})" for place, names in inputs_of.items()]
+    return f"Deprecated, and gone in the next version: {'; '.join(lists)}.\n\n" if lists else ""
 
 
 def scalar(text: str) -> str:

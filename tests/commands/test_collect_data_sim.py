@@ -120,7 +120,7 @@ def test_red_is_red(small: Path, motion: Path, tmp_path: Path, capsys: pytest.Ca
         (("--system", "t2rgb", "--backend", "docker"), "backend: found docker; it runs the team's applications"),
         (("--system", "t2rgb", "--backend", "aws-batch"), "backend: found aws-batch; it runs the team's applications"),
         (("--system", "t2rgb", "--image", "robot:1"), "image: is for containers: give applications"),
-        (("--system", "t2rgb", "--run", "mine"), "run: is for containers"),
+        (("--system", "t2rgb", "--run", "mine"), "run-name: is for containers"),
         (("--system", "t2rgb", "--timeout", "1h"), "timeout: is for containers"),
         (("--system", "t2rgb", "--resume"), "resume: is for scenarios in containers: backend docker or aws-batch"),
         (("--system", "t2rgb", "--ros", "1"), "ros: needs applications"),

@@ -99,7 +99,7 @@ def test_options(arguments: list[str], code: int) -> None:
         (["--file", "t.csv", "--column", RMS, "--min-rows", "0"], "'0' is below 1"),
         (["--file", "t.csv", "--column", RMS, "--max", "3", "--delimiter", "ab"], "'ab' is no delimiter"),
         (["--file", "t.csv", "--column", RMS, "--max", "3", "--encoding", "x"], "encoding: 'x' is not the name"),
-        (["--file", "t.csv", "--column", RMS, "--max-increase", "1%"], "baseline is not given"),
+        (["--file", "t.csv", "--column", RMS, "--max-increase", "1%"], "base-csv is not given"),
         (
             ["--file", "t.csv", "--column", RMS, "--max", "3", "--baseline", "t.csv"],
             "nothing would be compared with it",
@@ -309,7 +309,7 @@ def test_declared_options_are_the_documented_ones() -> None:
     assert {option.opts[0].removeprefix("--") for option in command.params} == {
         *("file", "rules", "column", "row", "aggregate", "min", "max", "exclusive", "every-min", "every-max"),
         *("contains", "does-not-contain", "matches", "required-rows", "min-rows", "key-column", "delimiter"),
-        *("encoding", "exclude-summary-rows", "summary-rows", "baseline", "max-increase", "max-decrease", "output"),
+        *("encoding", "exclude-summary-rows", "summary-rows", "base-csv", "max-increase", "max-decrease", "output"),
     }
     assert all(getattr(option, "help", None) for option in command.params)
 

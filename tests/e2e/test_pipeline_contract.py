@@ -17,7 +17,7 @@ from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name
 from calibration.pipeline.distribution.jobs import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs
 from calibration.pipeline.distribution.plan import WorkflowPlan, plan_outputs
-from tests.actions.write_inputs import options
+from tests.actions.write_inputs import deprecated, options
 
 WORKFLOWS = Path(__file__).resolve().parents[2] / ".github" / "workflows"
 PIPELINE: dict[Any, Any] = yaml.safe_load((WORKFLOWS / "pipeline.yml").read_text())
@@ -49,6 +49,14 @@ def test_every_input_is_described_and_used() -> None:
             assert re.search(rf"\b{kind}\.{name}\b", text), name
 
 
+def test_deprecated_inputs_say_what_to_write() -> None:
+    replaced = deprecated("plan-matrix")
+    said = {
+        name: entry["description"] for name, entry in CALL["inputs"].items() if "Deprecated" in entry["description"]
+    }
+    assert said == {name: f"Deprecated: {instead}." for name, instead in replaced.items()}
+
+
 def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
     run = re.compile(r'exec bash "\$RUNNER_TEMP/calibration-ci-suite/actions/bootstrap\.sh" ([\w-]+)')
     started = set()
@@ -59,7 +67,10 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
                 module = f"calibration.commands.{found[1].replace('-', '_')}"
                 if find_spec(module) is None:
                     continue
-                known = {f"INPUT_{name.upper().replace('-', '_')}" for name in [*options(found[1]), "python"]}
+                known = {
+                    f"INPUT_{name.upper().replace('-', '_')}"
+                    for name in [*options(found[1]), *deprecated(found[1]), "python"]
+                }
                 given = {name for name in step["env"] if name.startswith("INPUT_")}
                 assert given <= known
                 assert "INPUT_PYTHON" in given
@@ -119,8 +130,8 @@ def test_an_image_is_promoted_after_a_verdict_that_is_pass_and_never_in_a_pull_r
     assert last["needs"] == ["plan", "image", "verdict"]
     for condition in ("!failure()", "!cancelled()", "needs.verdict.outputs.verdict != 'fail'"):
         assert condition in last["if"]
-    [wish] = [step["env"]["INPUT_PROMOTE"] for step in plan["steps"] if "INPUT_PROMOTE" in step.get("env", {})]
-    assert wish == "${{ inputs.promote && !startsWith(github.event_name, 'pull_request') }}"
+    [wish] = [step["env"]["INPUT_MAY_PROMOTE"] for step in plan["steps"] if "INPUT_MAY_PROMOTE" in step.get("env", {})]
+    assert wish == "${{ inputs.may-promote && inputs.promote && !startsWith(github.event_name, 'pull_request') }}"
 
 
 def test_a_promotion_that_lost_the_digest_builds_nothing() -> None:

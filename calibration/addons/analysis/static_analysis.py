@@ -31,16 +31,17 @@ from calibration.addons.analysis.settings import (
     read_suppressions,
     sift,
 )
+from calibration.base.documents import read_yaml
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import temporary_folder
-from calibration.base.records import field, record
+from calibration.base.records import changed, field, read, record
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git import Repository, find_base
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, annotate
-from calibration.commands.parameters import chosen, record_options
+from calibration.commands.parameters import chosen, given, record_options
 
 if TYPE_CHECKING:  # the engine, which the command does without
     from calibration.pipeline.stages.running import PipelineRun
@@ -63,6 +64,10 @@ MAX_FAILED_FILES = 10
 class StaticAnalysisSettings(AnalysisSettings):
     """Inputs of ``static-analysis``."""
 
+    config: Path | None = field(
+        "calibration.yml, whose section analysis says what these inputs do not; of the others nothing is read.",
+        default=None,
+    )
     output: Path | None = field("Folder for results.json, junit.xml, summary.md and findings.sarif.", default=None)
 
 
@@ -306,7 +311,13 @@ def command(**options: Any) -> ExitCode:
 
     Analysers run on a copy of the files that git tracks; code of the repository is not run.
     """
-    return analyse(chosen(StaticAnalysisSettings, options), Runner.from_environment(os.environ))
+    settings = chosen(StaticAnalysisSettings, options)
+    if (config := settings.config) is not None:
+        document = read_yaml(config, "a pipeline configuration")
+        section = document.get("analysis", {}) if isinstance(document, dict) else {}
+        known = read(AnalysisSettings, section, f"{config}: analysis", config.parent)
+        settings = changed(StaticAnalysisSettings(**vars(known)), given(StaticAnalysisSettings, options), "options")
+    return analyse(settings, Runner.from_environment(os.environ))
 
 
 STAGE_FOLDER = "static-analysis"

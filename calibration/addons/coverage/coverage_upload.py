@@ -68,9 +68,11 @@ Percent = Annotated[float, between(0, 100)]
 class CoverageSettings:
     """Inputs of ``coverage-upload``."""
 
-    run: str | None = field("Test command such as pytest -q or unittest tests, or a folder of tests.", default=None)
+    tests: str | None = field(
+        "Test command such as pytest -q or unittest tests, or a folder of tests.", default=None, formerly="run"
+    )
     reports: tuple[str, ...] = field(
-        "Report files, existing or written by run: .coverage, Cobertura, LCOV.", default=()
+        "Report files, existing or written by tests: .coverage, Cobertura, LCOV.", default=()
     )
     directory: Path = field(
         "Working directory of the tests, in the repository (the current directory).", default=Path()
@@ -117,7 +119,7 @@ class CoverageSettings:
     language: str | None = field("The language of all files for Codacy (derived from their suffix).", default=None)
     partial: bool = field("Other jobs upload coverage of this commit too; the last of them sets final.", default=False)
     final: bool = field(
-        "This is the last upload for this commit; without run and reports, only that is sent.", default=False
+        "This is the last upload for this commit; without tests and reports, only that is sent.", default=False
     )
     if_token_missing: Literal["fail", "skip"] = field(
         "fail or skip where there is no token (fail; forks are skipped).",
@@ -159,7 +161,7 @@ def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
     commit, source = find_commit(settings.commit, event, repository)
     runner.log(f"commit {commit} ({source})")
     service, skipped = _find_service(settings, event)
-    if settings.run is None and not settings.reports:
+    if settings.tests is None and not settings.reports:
         return _only_final(settings, commit, service, skipped, runner)
     with temporary_folder(prefix="calibration-coverage-") as folder:
         results = _measure_and_judge(settings, repository, event, commit, folder, runner)
@@ -174,12 +176,14 @@ def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
 def _check_settings(settings: CoverageSettings) -> None:
     if settings.partial and settings.final:
         raise InputError("partial and final are both given: partial announces more uploads, final is the last one")
-    if settings.run is None and not settings.reports and not settings.final:
+    if settings.tests is None and not settings.reports and not settings.final:
         raise InputError("neither run nor reports is given: set run to the test command, or reports to existing files")
-    if settings.interpreter and settings.run is None:
-        raise InputError("interpreter is given without run: it applies only to the command in run")
-    if settings.run is None and (wanted := settings.pseudo_tested_scope) != "none":
-        raise InputError(f"pseudo-tested: found {wanted} without run: functions are replaced while the tests run again")
+    if settings.interpreter and settings.tests is None:
+        raise InputError("interpreter is given without tests: it applies only to that command")
+    if settings.tests is None and (wanted := settings.pseudo_tested_scope) != "none":
+        raise InputError(
+            f"pseudo-tested: found {wanted} without tests: functions are replaced while the tests run again"
+        )
     parse_seconds(settings.pseudo_tested_budget, "pseudo-tested-budget")
     limits = {"all": settings.max_pseudo_tested, "change": settings.max_pseudo_tested_change}
     for scope, limit in limits.items():
@@ -228,7 +232,7 @@ def _measure_and_judge(
     files: list[Path] = []
     executable = None
     begin = time.time()
-    if settings.run is not None:
+    if settings.tests is not None:
         tests, files, executable = _run_tests(settings, sources, options, folder, runner)
     failed = tests is not None and tests.problem is not None
     try:
@@ -367,13 +371,13 @@ def _run_tests(
         why = "; ".join(measured.problems) or (
             "no Python was started that uses PYTHONPATH; if the tests measure themselves, set reports"
         )
-        raise InputError(f"run: the tests passed, but no coverage was measured: {why}")
+        raise InputError(f"tests: the tests passed, but no coverage was measured: {why}")
     return tests, list(measured.files), measured.executable
 
 
 def _parse_command(settings: CoverageSettings, folder: Path) -> CommandOfTests:
     junit = (settings.output or folder).absolute() / "tests.xml"
-    return parse_command(settings.run or "", settings.directory, settings.interpreter, plain(os.environ), junit)
+    return parse_command(settings.tests or "", settings.directory, settings.interpreter, plain(os.environ), junit)
 
 
 def _secrets(settings: CoverageSettings) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ def parse_command(
     try:
         words = shlex.split(text)
     except ValueError as error:
-        raise InputError(f"run: {text!r} cannot be split into arguments: {error}") from None
+        raise InputError(f"tests: {text!r} cannot be split into arguments: {error}") from None
     if not words:
         raise InputError(
             "run is empty: a command such as pytest, python -m unittest, or a folder of tests was expected"
@@ -75,7 +75,7 @@ def parse_command(
     found = shutil.which(words[0], path=path) if "/" not in words[0] else words[0]
     if found is None or not (directory / found).is_file():
         raise InputError(
-            f"run: there is no program {words[0]!r} (the command is not run by a shell: && and | have no effect)"
+            f"tests: there is no program {words[0]!r} (the command is not run by a shell: && and | have no effect)"
         )
     return CommandOfTests(text, *_with_junit(words, directory, junit))
 
@@ -113,7 +113,7 @@ def _with_interpreter(
 
 def _require_python(python: str | None) -> str:
     if python is None:
-        raise InputError("run: there is no python3 on the PATH: install one before this step, or set interpreter")
+        raise InputError("tests: there is no python3 on the PATH: install one before this step, or set interpreter")
     return python
 
 
@@ -192,7 +192,7 @@ def run(
         try:
             process = stack.enter_context(started(arguments, environment, directory))
         except (OSError, ValueError) as error:
-            raise InputError(f"run: {arguments[0]} cannot be started: {error}") from None
+            raise InputError(f"tests: {arguments[0]} cannot be started: {error}") from None
         if process.stdout is None:
             raise AssertionError("its output is a pipe")
         selector.register(process.stdout, selectors.EVENT_READ)

@@ -212,7 +212,7 @@ class TestWorker:
         try:
             process = self._stack.enter_context(started(self._arguments, environment, self._directory))
         except (OSError, ValueError) as error:
-            raise InputError(f"run: {self._arguments[0]} cannot be started: {error}") from None
+            raise InputError(f"tests: {self._arguments[0]} cannot be started: {error}") from None
         if process.stdout is None:
             raise AssertionError("its output is a pipe")
         output = process.stdout

@@ -99,7 +99,7 @@ def _read_simulations(path: Path, document: dict[str, Any]) -> Rigelfile:
     notes = Notes()
     substitution = Substitution({}, notes)
     if document.pop("clientRequestToken", None):
-        notes.lost("clientRequestToken", "a run has a name instead: --run")
+        notes.lost("clientRequestToken", "a run has a name instead: --run-name")
     requests = [
         mapping_at(each, f"{_REQUESTS_KEY}.{i}") for i, each in enumerate(list_at(document.get(_REQUESTS_KEY), ""))
     ]

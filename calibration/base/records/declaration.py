@@ -197,6 +197,8 @@ class Declared:
     """Whether the field is an option of a command; or the help of the option, if it differs."""
     omitted: bool
     """Whether the key is omitted for None, also in a record with ``nulls``."""
+    formerly: str = ""
+    """Former name of the option, which still works."""
     computed: bool = False
     """Whether it is a property, which is written and not read."""
 
@@ -217,6 +219,7 @@ def field(
     flat: bool = False,
     option: bool | str = True,
     omitted: bool = False,
+    formerly: str = "",
     repr: bool = True,  # noqa: A002 (dataclasses' word)
 ) -> Any:
     """Declare a field of a record.
@@ -233,10 +236,12 @@ def field(
             is.
         option: whether a command has an option for it; or the help of the option, if it differs.
         omitted: whether the key is omitted for None, also in a record with ``nulls``.
+        formerly: former name of the option, which still works.
         repr: whether it is part of the record's ``repr``; False for possible secrets.
     """
     text = f"{help.removesuffix('.')}, {unit}." if unit else help
     declared = {"key": key, "help": text, "implied": implied, "flat": flat, "option": option, "omitted": omitted}
+    declared["formerly"] = formerly
     metadata = {_METADATA_KEY: declared}
     if default_factory is not MISSING:
         return dataclasses.field(default_factory=default_factory, metadata=metadata, repr=repr)
@@ -341,7 +346,7 @@ def fields_of(kind: Any) -> tuple[Declared, ...]:
             continue
         default = each.default if each.default_factory is MISSING else each.default_factory()
         key = declared["key"] or (each.name.replace("_", "-") if kebab else each.name)
-        details = {name: declared[name] for name in ("help", "implied", "flat", "option", "omitted")}
+        details = {name: declared[name] for name in ("help", "implied", "flat", "option", "omitted", "formerly")}
         found.append(Declared(each.name, key, types[each.name], default=default, **details))
     return (*found, *_computed_fields(kind))
 
@@ -353,7 +358,9 @@ def _computed_fields(kind: Any) -> list[Declared]:
         getter = member.func if isinstance(member, cached_property) else getattr(member, "fget", None)
         if (key := getattr(getter, _METADATA_KEY, None)) is not None:
             help_, result = (getter.__doc__ or "").split("\n")[0], typing.get_type_hints(getter, include_extras=True)
-            found.append(Declared(name, key, result["return"], help_, MISSING, MISSING, False, False, False, True))
+            found.append(
+                Declared(name, key, result["return"], help_, MISSING, MISSING, False, False, False, computed=True)
+            )
     return found
 
 

@@ -146,7 +146,7 @@ class JobInputs:
     tests: str | None = field("The command that runs the unit tests.", default=None)
     analyse: bool = field("Analyse the code of the repository (no).", default=False)
     jobs: tuple[str, ...] = field(f"Only these jobs: {', '.join(CHOOSABLE_JOBS)}.", default=())
-    promote: bool = field("An image that passes may get its release tags (yes).", default=True)
+    may_promote: bool = field("An image that passes may get its release tags (yes).", default=True, formerly="promote")
     minute_rate: Annotated[float, between(0, MAX_MINUTE_RATE)] | None = field(
         "Price of a minute of a job, in your currency: 0.006.", default=None
     )
@@ -198,7 +198,9 @@ def plan_jobs(
     simulations = configuration.simulations if configuration else ()
     sections = configuration.sections if configuration else Sections()
     stages = [job for job, stage in STAGE_OF_JOB.items() if sections.of(stage.section) is not None]
-    wanted = _wanted_jobs(inputs, bool(systems), bool(simulations), stages)
+    wanted = _wanted_jobs(
+        inputs, bool(systems), bool(simulations), stages, analysis=sections.of("analysis") is not None
+    )
     calibrated = systems if "calibrate" in wanted else ()
     waiting = [system.name for system in calibrated if system.collected is not None]
     if waiting and "collect-data" not in wanted:
@@ -226,7 +228,7 @@ def plan_jobs(
         collects_in_containers=any(simulation.applications.containers for simulation in collected),
         collects_in_image=in_image,
         push=push,
-        promote=section.promote if section is not None and image and inputs.promote else (),
+        promote=section.promote if section is not None and image and inputs.may_promote else (),
         minute_rate=inputs.minute_rate,
         static_analysis="static-analysis" in wanted,
         stages=tuple(stages),
@@ -238,20 +240,22 @@ def _runs_in_built_image(simulation: CollectionRequest) -> bool:
     return any(not container.image for container in simulation.applications.containers)
 
 
-def _wanted_jobs(inputs: JobInputs, systems: bool, simulations: bool, stages: Sequence[str]) -> list[str]:
+def _wanted_jobs(
+    inputs: JobInputs, systems: bool, simulations: bool, stages: Sequence[str], analysis: bool
+) -> list[str]:
     possible = {
         "calibrate": systems,
         "collect-data": simulations,
         **{job: job in stages for job in STAGE_OF_JOB},
         "unit-tests": bool(inputs.tests),
-        "static-analysis": inputs.analyse,
+        "static-analysis": inputs.analyse or analysis,
     }
     missing = {
         "calibrate": "the configuration has no systems",
         "collect-data": "the configuration has no simulation",
         **{job: f"the configuration has no section {stage.section}" for job, stage in STAGE_OF_JOB.items()},
         "unit-tests": "the input tests is empty: name the command that runs them",
-        "static-analysis": "the input analyse is not true",
+        "static-analysis": "the configuration has no section analysis",
     }
     for job in inputs.jobs:
         if job not in CHOOSABLE_JOBS:

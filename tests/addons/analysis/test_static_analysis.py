@@ -93,6 +93,16 @@ def run(root: Path, *arguments: str) -> tuple[int, Any]:
     return code, results(output) if code < 2 else None
 
 
+def test_the_section_of_a_configuration_says_what_options_do_not(root: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    write(root, {"naming.py": GOOD + BAD, "calibration.yml": "systems: 3\nanalysis: {max-new: [all=1]}\n"})
+    arguments = ("--base", "HEAD", "--tools", "ruff", "--config", "calibration.yml")
+    assert run(root, *arguments)[0] == 0
+    assert run(root, *arguments, "--max-new", "all=0")[0] == 1
+    write(root, {"calibration.yml": "analysis: {tools: 3}"})
+    assert run(root, *arguments)[0] == 2
+    assert "calibration.yml: analysis: tools: found 3" in capfd.readouterr().err
+
+
 def test_findings_of_a_change_fail_at_their_lines(root: Path, capfd: pytest.CaptureFixture[str]) -> None:
     write(root, {"naming.py": GOOD + BAD})
     code, found = run(root, "--base", "HEAD")

@@ -62,7 +62,7 @@ def test_the_matrix_in_the_cloud(batch_emulator: Aws, capsys: pytest.CaptureFixt
     assert {cell["method"] for cell in document["comparisons"]} == {"calibration-ci"}
     assert len(tasks.ran) == 2
     name = Path("output", RUN_FILE).read_text().strip()
-    assert f"run {name} on AWS Batch, queue {QUEUE}; with --run {name} --resume only what is missing is run" in out
+    assert f"run {name} on AWS Batch, queue {QUEUE}; with --run-name {name} --resume only what is missing is run" in out
 
     assert main([*words, "--backend", "aws-batch", "--resume"]) == 0  # the name is saved in the output folder
     assert main([*words, "--backend", "aws-batch", "--resume", "--run", name, "--output", "elsewhere"]) == 0
@@ -105,7 +105,7 @@ def test_a_pipeline_in_the_cloud(batch_emulator: Aws, tmp_path: Path, capsys: py
         ((*SOFTWARE, "--backend", "embedded"), "backend: found 'embedded', expected docker or aws-batch"),
         (("--backend", "aws-batch"), "backend: found aws-batch, which runs the team's own software"),
         ((*SOFTWARE, "--resume"), "resume: is for the backend aws-batch"),
-        (("--run", "mine"), "run: is for the backend aws-batch"),
+        (("--run", "mine"), "run-name: is for the backend aws-batch"),
         (
             (*SOFTWARE, "--backend", "aws-batch", "--registry-username", "me"),
             "registry-username: aws-batch pulls with its execution role",

@@ -458,7 +458,7 @@ def test_as_an_action_the_inputs_go_before_the_environment(
         (["--service", "codecov"], "'codecov' is not one of 'codacy', 'none'"),
         (["--if-token-missing", "ignore"], "'ignore' is not one of 'fail', 'skip'"),
         (["--partial", "--final"], "partial and final are both given"),
-        (["--interpreter", "python3"], "interpreter is given without run"),
+        (["--interpreter", "python3"], "interpreter is given without tests"),
         (["--minimum", "101"], "options: minimum: found 101.0, expected a number from 0 to 100"),
         (["--minimum", "nan"], "'nan' is not a finite number"),
         (["--commit", "main"], "commit: found 'main', expected a hash of 40 hexadecimal digits"),
@@ -467,7 +467,7 @@ def test_as_an_action_the_inputs_go_before_the_environment(
         (["--base", "nowhere"], "base nowhere: no such commit is in this checkout"),
         (["--minimum-change", "80"], "there is no base to compare with"),
         (["--minimum-functions-change", "80"], "there is no base to compare with"),
-        (["--max-pseudo-tested", "0"], "pseudo-tested: found all without run"),
+        (["--max-pseudo-tested", "0"], "pseudo-tested: found all without tests"),
         (
             ["--run", "x", "--max-pseudo-tested", "0", "--pseudo-tested", "change"],
             "pseudo-tested: found change, expected all",

@@ -145,7 +145,7 @@ def test_systems_whose_dataset_is_collected_wait_for_it() -> None:
         (("calibrat",), "there is no job 'calibrat': did you mean 'calibrate'\\?"),
         (("collect-data",), "nothing for collect-data to do: the configuration has no simulation"),
         (("calibrate", "unit-tests"), "nothing for unit-tests to do: the input tests is empty"),
-        (("static-analysis",), "nothing for static-analysis to do: the input analyse is not true"),
+        (("static-analysis",), "nothing for static-analysis to do: the configuration has no section analysis"),
     ],
 )
 def test_a_job_without_work_is_refused(jobs: tuple[str, ...], message: str) -> None:
@@ -196,7 +196,7 @@ def test_what_was_tested_gets_its_tags_and_nothing_else(tmp_path: Path) -> None:
     section = image_section(True, tmp_path)
     system = replace(ROBOT, software=software(""))
     assert planned(system, section=section).promote == ("stable", "v1")
-    assert planned(system, section=section, promote=False).promote == ()
+    assert planned(system, section=section, may_promote=False).promote == ()
     assert planned(ROBOT, section=section).promote == ()  # nothing has run in it
     assert planned(system, section=section, image=True).promote == ()  # nor here, where another one is given
     assert planned(system, section=replace(section, promote=())).promote == ()

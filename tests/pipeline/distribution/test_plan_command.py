@@ -94,6 +94,13 @@ def test_an_analysis_needs_no_configuration(monkeypatch: pytest.MonkeyPatch) -> 
     assert plan(monkeypatch, jobs="static-analysis")["calibrate"] == "false"
 
 
+def test_a_section_analysis_is_a_job(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("calibration.yml").write_text(CONFIGURATION)
+    assert plan(monkeypatch)["static-analysis"] == "false"
+    Path("calibration.yml").write_text(f"{CONFIGURATION}\nanalysis: {{}}\n")
+    assert plan(monkeypatch)["static-analysis"] == "true"
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

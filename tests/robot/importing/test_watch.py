@@ -155,7 +155,7 @@ def test_ctrl_c_ends_with_a_summary(
 
     monkeypatch.setattr(time, "sleep", stop)
     assert main(["watch", str(stereo / "import.yml")]) == 1
-    assert "import-data --config" in capsys.readouterr().out
+    assert "import-data --recordings" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
