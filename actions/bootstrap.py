@@ -32,7 +32,7 @@ import sysconfig
 import tempfile
 import time
 import venv
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, NoReturn
 
@@ -71,12 +71,13 @@ MODULES = {
     "run.txt": ["click", "yaml", "numpy", "defusedxml", "rich"],
 }
 
-# The root action installs a sixth of the packages where calibration.yml only calibrates: none of these words is in it.
+# A sixth of the packages is enough where calibration.yml only calibrates: none of these words is in it.
 # One in a comment or a name costs seconds, no more.
 NEEDS_ALL = re.compile(
     r"\b(image|software|simulation|backend|aws-batch|analysis|delivery|tests|requirements|xacro)\b", re.IGNORECASE
 )
 MAX_CONFIG_BYTES = 1 << 20
+OF_CONTAINERS = ("IMAGE", "COMMAND", "BACKEND", "AWS_BATCH")
 
 LOCKED = ["--require-hashes", "--only-binary", ":all:", "-r"]  # for uv and pip, before the lock's path
 PIP_SETTINGS = [
@@ -155,7 +156,7 @@ def main(arguments: list[str]) -> None:
 def start(action: str) -> NoReturn:
     """Replace this process by the action's own, so that exit codes and signals pass straight through."""
     entry, lock = (ACTIONS | WORKFLOW_STEPS)[action]
-    if action == "run" and only_calibrates(Path(os.environ.get("INPUT_CONFIG") or "calibration.yml")):
+    if action in ("run", "calibrate-matrix") and engine_is_enough(os.environ):
         lock = "engine.txt"
     python = sys.executable
     if not os.environ.get("INPUT_PYTHON"):
@@ -167,6 +168,17 @@ def start(action: str) -> NoReturn:
             BAD_INPUT,
         )
     os.execv(python, [python, "-I", "-u", "-X", "utf8", str(ROOT / "actions" / entry), action])  # noqa: S606
+
+
+def engine_is_enough(variables: Mapping[str, str]) -> bool:
+    """Return whether what an action is asked for needs the engine alone."""
+    if "CELL_IMAGE" in variables:  # a cell of the workflow, whose plan knows
+        return not variables["CELL_IMAGE"]
+    if any(variables.get(f"INPUT_{name}") for name in OF_CONTAINERS):
+        return False
+    return bool(variables.get("INPUT_DATASET")) or only_calibrates(
+        Path(variables.get("INPUT_CONFIG") or "calibration.yml")
+    )
 
 
 def only_calibrates(config: Path) -> bool:
@@ -181,12 +193,13 @@ def only_calibrates(config: Path) -> bool:
 
 def shared_environment(lock: Path) -> Path:
     """Return an environment with the packages of `lock`: one that this job has already, else a new one."""
+    began = time.monotonic()
     home = environments_home()
     digest = hashlib.sha256(f"{interpreter()}\n{lock.read_text()}".encode()).hexdigest()[:12]
     target = home / f"{lock.stem}-{digest}"
     for candidate in [target, *sorted(home.glob("[!.]*"))]:  # the larger one of another action does as well
         if provides(candidate, pins(lock)):
-            print(f"Python environment: {candidate.name}", flush=True)
+            print(f"Python environment: {candidate.name} is there", flush=True)
             return candidate
     with group(f"Python environment: installing {lock.stem}"), scratch_folder(home) as scratch:
         built = scratch / target.name
@@ -197,6 +210,7 @@ def shared_environment(lock: Path) -> Path:
             if not provides(target, pins(lock)):
                 shutil.rmtree(target)
                 built.rename(target)
+    print(f"Python environment: {target.name} took {time.monotonic() - began:.1f} s", flush=True)
     return target
 
 

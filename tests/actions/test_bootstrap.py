@@ -110,7 +110,7 @@ def test_the_second_action_starts_at_once(suite: Suite) -> None:
 
 
 def test_a_larger_environment_serves_the_smaller_action(suite: Suite) -> None:
-    first = facts(suite.run("calibrate-matrix"))
+    first = facts(suite.run("calibrate-matrix", INPUT_IMAGE="robot:1"))
     assert facts(suite.run("introspect-csv"))["prefix"] == first["prefix"]
     assert len(suite.environments) == 1
 
@@ -465,3 +465,21 @@ def test_the_root_action_installs_the_engine_alone_where_that_is_all(
 ) -> None:
     (tmp_path / "calibration.yml").write_text(config)
     assert bootstrap.only_calibrates(tmp_path / "calibration.yml") is only_engine
+
+
+@pytest.mark.parametrize(
+    ("given", "enough"),
+    [
+        ({"INPUT_DATASET": "data/robot", "INPUT_CONFIG": ""}, True),
+        ({"INPUT_DATASET": "data/robot", "INPUT_IMAGE": "robot:1"}, False),
+        ({"INPUT_CONFIG": "containers.yml"}, False),
+        ({"INPUT_CONFIG": "containers.yml", "CELL_IMAGE": ""}, True),
+        ({"INPUT_DATASET": "data/robot", "CELL_IMAGE": "given"}, False),
+    ],
+)
+def test_a_matrix_without_containers_takes_the_engine_alone(
+    bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, given: dict[str, str], enough: bool
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("containers.yml").write_text("systems: {robot: {dataset: data, software: {command: [calibrate]}}}\n")
+    assert bootstrap.engine_is_enough(given) is enough

@@ -15,7 +15,7 @@ OUTPUTS = ("verdict", "success-rate", "billed-minutes", "cost")
 """Of the workflow; a job of the caller prints them."""
 STAND_INS = Path(__file__).with_name("stand_ins")
 WORKFLOW = PROJECT / ".github" / "workflows" / "pipeline.yml"
-PINS = sorted(set(re.findall(r"uses: (actions/(?:up|down)load-artifact@[0-9a-f]{40})", WORKFLOW.read_text())))
+PINS = sorted(set(re.findall(r"uses: (actions/(?:cache|(?:up|down)load-artifact)@[0-9a-f]{40})", WORKFLOW.read_text())))
 
 
 @dataclass(frozen=True)
