@@ -5,7 +5,7 @@ its labels have noise. It carries out its tasks with its calibration, and is off
 without linearisation.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -16,9 +16,9 @@ from benchmarks.scenes import rig
 from benchmarks.timing import interleaved
 from benchmarks.verdict.case import BY_NAME, Case, colour_of, fits_as_well, judged, with_nothing_set
 from benchmarks.verdict.catalogue import cases
-from benchmarks.verdict.kind import ALL, LIDARS
+from benchmarks.verdict.kind import ALL
 from benchmarks.verdict.scene import Scene
-from benchmarks.verdict.strata import clean, generator, moving_edges, with_noise
+from benchmarks.verdict.strata import clean, generator, moving_edges, with_noise, without_noise
 from benchmarks.verdict.unforeseen import UNFORESEEN
 from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
@@ -121,14 +121,14 @@ def measure(quick: bool) -> Iterator[Row]:
     yield from _verdicts(quick)
 
 
-def robot(system: str, number: int, without: SourceKind | None = None) -> dict[str, Carried]:
-    """The tasks of a robot with usual errors, but for those of one kind; the others are the same ones."""
-    scene = clean("exact", system, number % WORLDS)
+def robot(system: str, number: int, without: Collection[SourceKind] = ()) -> dict[str, Carried]:
+    """The tasks of a robot with usual errors, but for those of some kinds; the others are the same ones."""
+    scene = without_noise(system, number % WORLDS)
     told, world = scene.told, scene.world
 
     def drawn(kind: SourceKind, *shape: int) -> Array:
         normal = generator("task", system, number, kind).normal(size=shape)
-        return 0.0 * normal if kind == without else normal
+        return 0.0 * normal if kind in without else normal
 
     edges = moving_edges(scene)
     twists = drawn("arm", len(edges), 6) * ([ASSUMED.arm_translation] * 3 + [ASSUMED.arm_rotation] * 3)
@@ -165,7 +165,7 @@ def robot(system: str, number: int, without: SourceKind | None = None) -> dict[s
         return labels
 
     scene = scene.labelled(ranged)
-    if without != "labels":
+    if "labels" not in without:
         scene = with_noise(scene, generator("task noise", system, number), 0.0, NOISE.pixel)
     options = Options(assume=ASSUMED, noise_levels=NOISE, loss="linear")
     found = calibrate(scene.told.with_cameras(cameras), options)
@@ -242,26 +242,27 @@ def _coverage(robots: int) -> Iterator[Row]:
 def _squares_by_part(of: tuple[str, int]) -> list[tuple[SourceKind, float, float, float]]:
     """By task and kind of source: by how much switching it off changes the error, and how much that should be.
 
-    Both are mean squares, over that of the whole; what should be is what was drawn, to first order, and of the labels
-    what is stated. And how far the sum of all parts is from the whole.
+    Both are mean squares, over that of the whole; what should be is what was drawn, to first order. Of the labels it is
+    what is stated, and what is compared with it the error that is left where all else is switched off: what the ends of
+    a scan line miss of a border is no noise that could be. And how far the sum of all parts is from the whole.
     """
     whole = robot(*of)
     found: list[tuple[SourceKind, float, float, float]] = []
     for kind in PARTS:
-        rest = robot(*of, without=kind)
+        rest = robot(*of, without=[each for each in PARTS if each != kind] if kind == "labels" else [kind])
         for name, each in whole.items():
             total = float(np.einsum("nii->n", each.stated.covariance).mean())
             stated = float(sum(each.stated.variances[s.name].mean() for s in each.stated.sources if s.kind == kind))
             summed = float(sum(each.stated.variances[s.name].mean() for s in each.stated.sources))
-            # what the ends of a scan line miss of a border is no noise, and stays when that is switched off
-            if stated > 1e-3 * total and not (kind == "labels" and of[0] in LIDARS):
-                changed = each.by_point(each.errors) - rest[name].by_point(rest[name].errors)
-                both = np.isfinite(changed).all(-1)
-                should = each.by_point(each.expected(kind))[both] if kind != "labels" else None
-                expected = stated if should is None else float((should**2).sum(-1).mean())
-                found.append(
-                    (kind, float((changed[both] ** 2).sum(-1).mean()) / total, expected / total, summed / total)
-                )
+            if stated <= 1e-3 * total:
+                continue
+            left = rest[name].by_point(rest[name].errors)
+            changed = left if kind == "labels" else each.by_point(each.errors) - left
+            both = np.isfinite(changed).all(-1)
+            expected = (
+                stated if kind == "labels" else float((each.by_point(each.expected(kind))[both] ** 2).sum(-1).mean())
+            )
+            found.append((kind, float((changed[both] ** 2).sum(-1).mean()) / total, expected / total, summed / total))
     return found
 
 
@@ -273,7 +274,8 @@ def _parts(robots: int) -> Iterator[Row]:
         own = [row for row in rows if row[0] == kind]
         ratio = float(np.sqrt(sum(row[1] for row in own) / sum(row[2] for row in own)))
         of = "stated" if kind == "labels" else "what was drawn of it, to first order"
-        note = f"what switching it off changes, over {of}: {len(own)} tasks in which it is more than a thousandth"
+        by = "what is left where all else is switched off" if kind == "labels" else "what switching it off changes"
+        note = f"{by}, over {of}: {len(own)} tasks in which it is more than a thousandth"
         yield Row(f"tasks/part of {kind}", ratio, "", Bar(0.9, 1.1), note)
 
 

@@ -78,6 +78,12 @@ def clean(stratum: Stratum, system: str, seed: int) -> Scene:
 
 
 @cache
+def without_noise(system: str, seed: int) -> Scene:
+    """A scene whose labels are exact to the last digit."""
+    return _exact(system, seed, generator("exact", system, seed))
+
+
+@cache
 def _system(name: str) -> System:
     return read_system(entries()[name].dataset)
 
