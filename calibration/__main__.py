@@ -44,6 +44,7 @@ _HELP_OF_COMMAND = {
     "look": "Look at a recording: what is in it, and what is missing for a calibration.",
     "watch": "Watch images arrive: which views are used, how good the calibration is, and what to show next.",
     "import-data": "Make a dataset of recorded images and poses.",
+    "add-collections": "Add what was recorded later to a dataset.",
     "label": "Find the patterns in the images of a dataset.",
     "init": "Write a first calibration.yml and workflow.",
     "export": "Write a calibration as URDF, launch files, camera_info and more.",
