@@ -1,7 +1,8 @@
 """Robots from URDF descriptions: joints and links, forward kinematics, and joints in ATOM's parameters.
 
-URDF: a tree of links, each connected to its parent by a joint. Floating and planar joints have no position here, and
-stay at their origin. A description is untrusted input: entities are refused, the size is bounded.
+URDF: a tree of links, each connected to its parent by a joint. Floating and planar joints, and those that follow a
+joint that is not there, have no position here, and stay at their origin. A description is untrusted input: entities are
+refused, the size is bounded.
 """
 
 import math
@@ -62,6 +63,8 @@ class Joint:
     upper: float = math.inf
     mimic: Mimic | None = None
     """What it follows; None for a joint with a position of its own."""
+    without_position: str = ""
+    """Why its transform is not known from one position, as a predicate; empty if it is, or is fixed."""
 
     @property
     def edge(self) -> Edge:
@@ -71,12 +74,7 @@ class Joint:
     @property
     def is_movable(self) -> bool:
         """Whether the joint has a position, its own or that of a joint that it follows."""
-        return self.kind in AXIS_KINDS
-
-    @property
-    def is_free(self) -> bool:
-        """Whether the joint is floating or planar: its transform is not known from one position."""
-        return self.kind in ("floating", "planar")
+        return self.kind in AXIS_KINDS and not self.without_position
 
     @property
     def driver(self) -> str:
@@ -170,7 +168,11 @@ class Robot:
         joint = self.movable.get(name)
         if joint is None:
             named = next((each for each in self.joints if each.name == name), None)
-            problem = "is not in the robot" if named is None else "is fixed and has no position"
+            problem = (
+                "is not in the robot"
+                if named is None
+                else f"{named.without_position or 'is fixed'} and has no position"
+            )
             problem = "follows another joint and has no position of its own" if named and named.mimic else problem
             known = ", ".join(self.movable) or "none"
             raise InputError(f"{self.path}: joint '{name}' {problem} (joints that move: {known})")
@@ -261,15 +263,16 @@ def _read_joints(root: Element, path: Path) -> tuple[Joint, ...]:
 
 
 def _with_followed(joint: Joint, joints: Mapping[str, Joint], path: Path) -> Joint:
-    """Return a joint whose mimic names the joint at the end of the chain that it follows."""
+    """Return a joint whose mimic names the joint at the end of the chain that it follows.
+
+    One that follows nothing that moves has no position: published hands have such fingers, which no calibration needs.
+    """
     mimic, passed = joint.mimic, [joint.name]
     while mimic is not None:
         followed = joints.get(mimic.joint)
         if followed is None or not followed.is_movable:
-            raise InputError(
-                f"{path}: joint '{passed[-1]}': follows '{mimic.joint}' by <mimic>, expected a joint that moves along "
-                "or about one axis"
-            )
+            reason = f"follows '{mimic.joint}' by <mimic>, which is no joint that moves along or about one axis"
+            return replace(joint, mimic=None, without_position=reason)
         if followed.name in passed:
             raise InputError(f"{path}: joint '{joint.name}': follows itself by <mimic>: {', '.join(passed)}")
         if followed.mimic is None:
@@ -297,7 +300,8 @@ def _read_joint(element: Element, name: str, where: str) -> Joint:
         raise InputError(f"{where}: axis xyz has length 0")
     limits = _read_limits(element, kind, where)
     mimic = _read_mimic(element, where) if kind in AXIS_KINDS else None
-    return Joint(name, kind, parent, child, from_xyz_rpy(xyz, rpy), along / max(length, 1e-9), *limits, mimic)
+    free = f"is {kind}" if kind in ("floating", "planar") else ""
+    return Joint(name, kind, parent, child, from_xyz_rpy(xyz, rpy), along / max(length, 1e-9), *limits, mimic, free)
 
 
 def _read_link(element: Element, role: str, where: str) -> str:

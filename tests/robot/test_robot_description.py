@@ -67,6 +67,14 @@ def test_its_own_package_comes_before_one_of_the_same_name(tmp_path: Path) -> No
     assert b"mine" in read_robot_description(file, XacroInputs(packages=tmp_path / "other"))
 
 
+def test_a_copied_package_without_its_package_xml_is_found_by_its_folder(tmp_path: Path) -> None:
+    file = tmp_path / "third_party" / "arm_description" / "robots" / "arm.urdf.xacro"
+    (file.parent / "parts").mkdir(parents=True)
+    file.write_text(f'{HEAD}<xacro:include filename="$(find arm_description)/robots/parts/a.xacro"/></robot>')
+    (file.parent / "parts" / "a.xacro").write_text(f'{HEAD}<link name="copied"/></robot>')
+    assert b"copied" in read_robot_description(file, XacroInputs(packages=tmp_path / "third_party"))
+
+
 def test_a_system_of_a_simulation_may_have_one(tmp_path: Path) -> None:
     folder = tmp_path / "cell_description" / "urdf"
     arm_in_packages(tmp_path).rename(folder / "robot.urdf.xacro")

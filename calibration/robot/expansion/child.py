@@ -222,11 +222,14 @@ def _limit_language() -> None:
 
 
 def _package(name: str, folders: list[Path]) -> str:
-    """Return the folder of a package.
+    """Return the folder of a package: the one whose package.xml has this name, else one that is called so.
+
+    A description that was copied into a team's repository often has lost its package.xml.
 
     Raises:
         MissingPackageError: there is none.
     """
+    called_so = ""
     for folder in folders:
         for place, below, files in os.walk(folder):
             below[:] = sorted(each for each in below if not each.startswith("."))
@@ -234,6 +237,10 @@ def _package(name: str, folders: list[Path]) -> str:
                 below.clear()
             if "package.xml" in files and name in _NAME.findall(Path(place, "package.xml").read_text("utf-8")):
                 return place
+            if not called_so and "package.xml" not in files and Path(place).name == name:
+                called_so = place
+    if called_so:
+        return called_so
     raise MissingPackageError(f"there is no package '{name}'")
 
 

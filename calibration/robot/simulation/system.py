@@ -282,13 +282,13 @@ def _check_against_robot(system: System, path: Path) -> None:
     edges = system.robot.by_edge
 
     def check_known(key: str, frame: str) -> None:
-        """Refuse a frame whose pose in the world depends on a floating or a planar joint."""
+        """Refuse a frame whose pose in the world depends on a joint without a position."""
         for step in tree.path(config.world_link, frame):
-            if (joint := edges[step.parent, step.child]).is_free:
+            if (joint := edges[step.parent, step.child]).without_position:
                 raise fault(
                     key,
-                    f"the {joint.kind} joint '{joint.name}' lies between '{config.world_link}' and '{frame}' in "
-                    f"{system.robot.path}, and a simulation has no pose for it: expected other joints there",
+                    f"joint '{joint.name}', which {joint.without_position}, lies between '{config.world_link}' and "
+                    f"'{frame}' in {system.robot.path}, and a simulation has no pose for it: expected other joints",
                 )
 
     for name, sensor in config.sensors.items():

@@ -96,7 +96,7 @@ def test_the_joint_that_was_not_recorded_is_named() -> None:
 
 
 def test_a_floating_joint_needs_a_transform() -> None:
-    with pytest.raises(InputError, match="floating joint 'toss' needs a transform from 'a' to 'd'"):
+    with pytest.raises(InputError, match="joint 'toss' is floating: it needs a transform from 'a' to 'd'"):
         log(slide=0.2).transform(("a", "d"), 0)
     recorded = log(slide=0.2)
     recorded.add_transform(("a", "d"), 0, np.eye(4))

@@ -287,5 +287,5 @@ def test_a_joint_without_a_pose_may_stand_anywhere_but_before_a_sensor(system_co
     assert "toss" not in read_system(system_copy).robot.movable
     name = next(joint.name for joint in read_system(system_copy).robot.joints if joint.child == "tripod")
     robot.write_text(re.sub(rf'name="{name}" type="fixed"', f'name="{name}" type="{kind}"', urdf))
-    with pytest.raises(InputError, match=f"the {kind} joint '{name}' lies between 'world' and"):
+    with pytest.raises(InputError, match=f"joint '{name}', which is {kind}, lies between 'world' and"):
         read_system(system_copy)

@@ -208,10 +208,10 @@ class MotionLog:
             joint = self._joints_without_transforms[edge]
             if joint.kind == "fixed":
                 return joint.T_parent_joint
-            if joint.is_free:
+            if joint.without_position:
                 raise InputError(
-                    f"the {joint.kind} joint '{joint.name}' needs a transform from '{edge[0]}' to '{edge[1]}' in /tf, "
-                    f"and none was recorded{self._why_not(edge)}"
+                    f"joint '{joint.name}' {joint.without_position}: it needs a transform from '{edge[0]}' to "
+                    f"'{edge[1]}' in /tf, and none was recorded{self._why_not(edge)}"
                 )
             position = self._position_at(joint, time)
             T = None if position is None else joint.transform(position)[0]
