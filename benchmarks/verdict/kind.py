@@ -41,8 +41,8 @@ class Kind:
     spoils: bool = False
     """Whether red is right even where it does no harm: a share of the labels is worthless, or too few are left."""
     displaces: bool = False
-    """Whether a sensor is moved by the size within the recording: by more than the limit that is harm, wherever the
-    result lies between its places."""
+    """Whether a sensor is moved by the size within the recording, or its lens changed by a share: by more than the
+    limit that is harm, wherever the result lies between its places."""
 
 
 LENS = ("lens", "distortion")

@@ -60,6 +60,7 @@ UNFORESEEN = (
         "share",
         ("focal", "zoom", *MOVED_WORDS),
         spoils=True,
+        displaces=True,
     ),
     Kind(
         "principal drift",

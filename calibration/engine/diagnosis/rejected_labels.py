@@ -10,7 +10,9 @@ from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.diagnosis.finding import Finding, Severity, first_names
 from calibration.engine.diagnosis.limits import Limits, allowed, limit_in_labels, of_the_labels, stated
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
+from calibration.engine.estimation.covariance.suspects import Suspect
 from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
+from calibration.engine.estimation.start.wrong_views import MAX_WRONG_SHARE
 
 MIN_WARNING_SHARE, MIN_RED_SHARE = 0.01, 0.05
 """Shares of all labels."""
@@ -28,8 +30,8 @@ standard deviations, which the robust loss handles.
 """
 MAX_NAMED_COLLECTIONS = 5
 """Number of collections that a message names."""
-MIN_RED_SHARE_OF_VIEWS = 0.05
-"""Share of a sensor's views that is a failure: the majority is no longer reliable."""
+MIN_VIEWS_OF_NO_MOVE, MIN_RATIO_OF_NO_MOVE = 3, 3.0
+"""Views at an end of the recording that are wrong by so different turns and distances are not those of one move."""
 USUAL_CAUSE = "image and pose of different moments?"
 """Most frequent cause of a view that contradicts the others."""
 MAX_NAMED_VIEWS = 20
@@ -41,7 +43,8 @@ def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, 
 
     A label is rejected if Huber's loss gives it less than half its weight, beyond five standard deviations: for
     normal noise, 4e-6 of the corners. It is counted if its residual also exceeds `GROSS_PIXELS` or `GROSS_METRES`.
-    Many of them are a failure where they may have moved the result by more than a limit. The robust loss may have
+    Many of them are a failure where they may have moved the result by more than a limit, and no board or lens that was
+    changed explains them. The robust loss may have
     followed a minority, so more than half of them rejected, gross or not, is a failure too.
     """
     total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
@@ -64,9 +67,9 @@ def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, 
             f"{100 * MIN_WARNING_SHARE:g} % at most), most of '{worst}', in collections {where}; "
             f"look at their images, or leave them out"
         )
-        severity: Severity = (
-            "red" if share > MIN_RED_SHARE and _may_exceed_a_limit(calibration, limits, len(rejected)) else "warning"
-        )
+        severity: Severity = "warning"
+        if share > MIN_RED_SHARE and not any(each.is_change for each in _suspects(calibration)):
+            severity = "red" if _may_exceed_a_limit(calibration, limits, len(rejected)) else "warning"
         found = Finding("rejected-labels", severity, text, (worst,), collections, share, unit="1")
         return (*_at_the_ends(calibration, limits), found)
     collections = tuple(key for key, _ in Counter(label.collection for label in rejected).most_common())
@@ -93,8 +96,18 @@ def _may_exceed_a_limit(calibration: Calibration, limits: Limits, count: int) ->
     )
 
 
+def _suspects(calibration: Calibration) -> tuple[Suspect, ...]:
+    explanation = calibration.solution.explanation
+    return explanation.suspects if explanation else ()
+
+
 def _at_the_ends(calibration: Calibration, limits: Limits) -> tuple[Finding, ...]:
-    """Return a failure for each sensor whose first or last view does not fit as a whole: it may have moved."""
+    """Return a failure for each sensor whose first or last view does not fit as a whole: it may have moved.
+
+    Nothing where a suspect says from which collection on what has moved or changed.
+    """
+    if any(each.since is not None for each in _suspects(calibration)):
+        return ()
     rejected = Counter((each.collection, each.sensor, each.pattern, each.kind) for each in calibration.rejected)
     found: dict[str, tuple[str, float]] = {}
     for view in calibration.residuals:
@@ -183,11 +196,20 @@ def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedVi
             continue
         seen = [c.key for c in calibration.dataset.collections if view.sensor in {s for _, s in c.labels}]
         kept = [key for key in seen if (view.sensor, key) not in left_out]
+        if kept and _are_of_no_move([each for each in dropped if each.sensor == view.sensor], seen, kept):
+            continue
         if kept and view.collection == seen[-1]:
             return f"{view.sensor} has moved after collection {kept[-1]}, and the result is that of before"
         if kept and view.collection == seen[0]:
             return f"{view.sensor} has moved before collection {kept[0]}"
     return ""
+
+
+def _are_of_no_move(wrong: list[DroppedView], seen: list[str], kept: list[str]) -> bool:
+    """Whether the wrong views of a sensor beyond those kept are off by too different poses to be of one move."""
+    outside = {*seen[: seen.index(kept[0])], *seen[seen.index(kept[-1]) + 1 :]}
+    sizes = np.array([(each.mm, each.degrees) for each in wrong if each.collection in outside])
+    return len(sizes) >= MIN_VIEWS_OF_NO_MOVE and bool(np.all(sizes.max(0) > MIN_RATIO_OF_NO_MOVE * sizes.min(0)))
 
 
 def _finding_on_views(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: str) -> Finding:
@@ -207,5 +229,5 @@ def _finding_on_views(sensors: tuple[str, ...], dropped: list[DroppedView], view
         f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {either} "
         f"Record these collections again, at standstill"
     )
-    severity: Severity = "red" if share > MIN_RED_SHARE_OF_VIEWS or moved else "warning"
+    severity: Severity = "red" if share > MAX_WRONG_SHARE or moved else "warning"
     return Finding("wrong-views", severity, text, sensors, collections, share, unit="1")

@@ -89,6 +89,11 @@ ADVICE_ON_CAUSE: Mapping[str, str] = {
     LAG_KIND: "look at time stamps; stop the robot for each collection, or calibrate it: lag: free",
     PLACE_KIND: "something was knocked; collect anew, or calibrate the collections before and after apart",
 }
+ADVICE_ON_CHANGE: Mapping[str, str] = {
+    "size": "leave out what another board was used in, or import the collections before and after apart",
+    "focal length": "fix zoom and focus, calibrate the intrinsics as they are now, and collect anew",
+}
+"""Advice on what has changed between two collections."""
 AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
 MAX_NAMED_COLLECTIONS = 4
 """Number of contradicting collections that are named, each at least half as bad as the worst one."""
@@ -157,11 +162,13 @@ def _finding_on_suspect(
         _largest_moves(calibration, _moves_after(calibration, suspect)),
     )
     moved = {name: _larger_of_each(before[name], after[name]) for name in before}
-    unsure = _unsure_of_few_views(calibration, suspect, limits)
+    for name, turn in _turns_by_zoom(calibration, suspect).items():
+        moved[name] = _larger_of_each(moved.get(name, (0.0, 0.0)), (0.0, turn))
+    unsure, sigmas = _unsure_of_few_views(calibration, suspect, limits), _sigmas_of_moves(calibration, suspect)
     limit_of = {name: allowed(calibration, limits, name) for name in moved}
-    over = [name for name, size in moved.items() if limit_of[name].exceeded(*size)]
+    over = [name for name, size in moved.items() if limit_of[name].exceeded(*map(_beyond_error, size, sigmas[name]))]
     is_red = bool(over)
-    if not over:  # where few views tell, the guard band may reach over the limit
+    if not over:  # the estimate, or where few views tell its guard band, may reach over the limit
         over = [
             name
             for name, (mm, degrees) in moved.items()
@@ -175,9 +182,11 @@ def _finding_on_suspect(
     if suspect.since is not None:
         keys = keys_since(calibration, suspect.since)
         since, collections = f" from collection {keys[0]} on", keys
-    verb = "has moved" if cause.kind == PLACE_KIND else "does not fit"
+    changed = suspect.is_change
+    verb = "has moved" if cause.kind == PLACE_KIND else "has changed" if changed else "does not fit"
+    advice = (ADVICE_ON_CHANGE if changed else ADVICE_ON_CAUSE)[cause.kind]
     either = ", the data cannot tell which" if suspect.rivals else ""
-    gross = _is_gross(calibration, suspect)
+    gross = _is_gross(calibration, suspect) and not (changed and cause.kind == "size")  # another board is as good
     harm = f"it moves {sensor} by {distance_text(mm, degrees)}" if sensor else "it moves no sensor"
     if cause.kind == PLACE_KIND and sensor:
         was, now = distance_text(*before[sensor]), distance_text(*after[sensor])
@@ -187,19 +196,23 @@ def _finding_on_suspect(
     text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
     at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]))
     if over:
-        text += f"; {harm} (limit {limit_of[sensor]}): {ADVICE_ON_CAUSE[cause.kind]}"
+        text += f"; {harm} (limit {limit_of[sensor]}): {advice}"
     elif at_task.broken:
-        text += f"; {at_task}: {ADVICE_ON_CAUSE[cause.kind]}"
+        text += f"; {at_task}: {advice}"
     elif gross:
-        text += f", more than any {GROSS_DEVIATIONS[cause.kind][1]} errs: {ADVICE_ON_CAUSE[cause.kind]}"
+        text += f", more than any {GROSS_DEVIATIONS[cause.kind][1]} errs: {advice}"
     elif not sensor or limits.any_set:
         text += f"; harmless: {at_task or harm}"
     else:
         text += f"; {harm} (limit {limit_of[sensor]})"
+    text += f": {advice}" if changed and not text.endswith(advice) else ""
+    severity: Severity = "warning" if changed else "note"
+    if over:
+        severity = "red" if is_red else "undecided"
     one = cause.size == 1
     return Finding(
         "suspect",
-        "red" if is_red or gross or at_task.broken else "undecided" if over else "note",
+        "red" if gross or at_task.broken else severity,
         text,
         sensors=tuple(over) if over else tuple(filter(None, [sensor])),
         collections=collections,
@@ -250,13 +263,33 @@ def _unsure_of_few_views(calibration: Calibration, suspect: Suspect, limits: Lim
 
     That something has moved is certain then, and how far is not.
     """
-    K, before, after = len(calibration.solution.model.G), suspect.moved_by, _moved_after(calibration, suspect)
+    K = len(calibration.solution.model.G)
     few = suspect.since is not None and min(suspect.since, K - suspect.since) < MIN_CLUSTERS_ON_A_SIDE
-    each = [
-        _largest_moves(calibration, limits.guard * few * np.linalg.norm(by @ suspect.errors, axis=1))
-        for by in (before, after)
-    ]
-    return {name: _larger_of_each(each[0][name], each[1][name]) for name in each[0]}
+    guard = limits.guard * few
+    return {name: (guard * mm, guard * deg) for name, (mm, deg) in _sigmas_of_moves(calibration, suspect).items()}
+
+
+def _sigmas_of_moves(calibration: Calibration, suspect: Suspect) -> dict[str, tuple[float, float]]:
+    """Return the standard deviations of what a suspect moves each sensor or joint by, mm and degrees."""
+    before, after = (
+        _largest_moves(calibration, np.linalg.norm(by @ suspect.errors, axis=1))
+        for by in (suspect.moved_by, _moved_after(calibration, suspect))
+    )
+    return {name: _larger_of_each(before[name], after[name]) for name in before}
+
+
+def _turns_by_zoom(calibration: Calibration, suspect: Suspect) -> dict[str, float]:
+    """Return by how many degrees the rays at the image's border are another one since a camera's lens was changed."""
+    if not suspect.is_change or suspect.cause.kind != "focal length":
+        return {}
+    sensors = [calibration.dataset.sensors[name] for name in suspect.cause.subject.split(" and ")]
+    slopes = {each.name: each.camera.width / 2 / each.camera.fx for each in sensors if each.camera}
+    return {name: float(np.degrees(abs(suspect.value[0]) * slope / (1 + slope**2))) for name, slope in slopes.items()}
+
+
+def _beyond_error(size: float, sigma: float) -> float:
+    """Return the size of a vector without what its error makes it longer: ``E |x + e|^2 = |x|^2 + sigma^2``."""
+    return float(np.sqrt(max(0.0, size**2 - sigma**2)))
 
 
 def _larger_of_each(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:

@@ -93,8 +93,15 @@ def with_dropped(clean: Calibration, sensors: Sequence[str], keys: Sequence[str]
     return replace(clean, dropped_views=dropped)
 
 
-@pytest.mark.parametrize(("keys", "severity"), [(["003"], "warning"), (["003", "007"], "red")])
-def test_by_their_share(clean: Calibration, keys: list[str], severity: Severity) -> None:
+MANY = [f"{i:03}" for i in range(1, 15)]
+
+
+@pytest.mark.parametrize(
+    ("keys", "severity"), [(["003"], "warning"), (["003", "007"], "warning"), (MANY[:-1], "warning"), (MANY, "red")]
+)
+def test_the_majority_is_right_unless_nearly_half_is_wrong(
+    clean: Calibration, keys: list[str], severity: Severity
+) -> None:
     [found] = wrong_views(with_dropped(clean, ["left"], keys), WIDE)
     assert (found.kind, found.severity, found.sensors) == ("wrong-views", severity, ("left",))
     assert found.collections == tuple(keys)
@@ -126,6 +133,16 @@ def test_at_an_end_of_the_recording_it_may_have_moved(clean: Calibration, key: s
     assert f"either image and pose are of different moments, {said}" in found.text
     [within] = wrong_views(dropped, Limits(translation_mm=200.0))
     assert within.severity == "warning"
+
+
+@pytest.mark.parametrize(("turns", "severity"), [((2.5, 2.5, 2.4), "red"), ((2.5, 170.0, 40.0), "warning")])
+def test_views_at_an_end_that_are_wrong_by_other_poses_each_are_of_no_move(
+    clean: Calibration, turns: Sequence[float], severity: Severity
+) -> None:
+    dropped = tuple(DroppedView("left", "board", f"{27 + i:03}", 4 * turn, turn) for i, turn in enumerate(turns))
+    [found] = wrong_views(replace(clean, dropped_views=dropped), Limits())
+    assert found.severity == severity
+    assert ("has moved" in found.text) == (severity == "red")
 
 
 def test_in_the_middle_few_are_a_warning(clean: Calibration) -> None:

@@ -8,8 +8,9 @@ import pytest
 
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
-from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.diagnosis.rejected_labels import rejected_labels
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
@@ -203,6 +204,38 @@ def test_what_has_moved_late_is_as_far_off_as_it_stands_now() -> None:
     assert red.severity == "red"
     assert red.moves_mm == pytest.approx(4.5, abs=0.8)
     assert "from where it is now (limit 3 mm, 1 deg)" in red.text
+
+
+def test_another_board_from_some_collection_on_is_a_warning() -> None:
+    """Its squares are 2 % larger; the result is within its limits all the same."""
+    scene = systems.eye_to_hand(24, pixel_noise=NOISE)
+    [board] = scene.patterns
+    larger = replace(scene, patterns=[replace(board, corners=board.centre + 1.02 * (board.corners - board.centre))])
+    dataset, other = scene.dataset(), larger.dataset()
+    changed = replace(dataset, collections=(*dataset.collections[:16], *other.collections[16:]))
+    calibration = calibrate(changed, Options(assume=Assumptions()))
+    first, *_ = what_does_not_fit(calibration, Limits(translation_mm=20, rotation_deg=2))
+    assert (first.severity, first.collections) == ("warning", changed.keys[16:])
+    assert first.text.startswith("board's size has changed from collection 016 on")
+    assert first.value == pytest.approx(0.02, abs=4 * (first.sigma or 0))
+    assert not [each for each in rejected_labels(calibration, Limits()) if each.severity == "red"]
+
+
+@pytest.mark.parametrize(("zoom", "severity"), [(1.01, "warning"), (1.04, "red")])
+def test_a_zoom_while_recording_is_red_where_it_is_another_lens(zoom: float, severity: Severity) -> None:
+    dataset = eye_to_hand()
+    camera = dataset.sensors["cam"].camera
+    assert camera is not None
+    centre = np.array([camera.cx, camera.cy])
+
+    def zoomed(i: int, _: str, label: Labels) -> Labels:
+        assert isinstance(label, CornerLabels)
+        return replace(label, pixels=(label.pixels - centre) * zoom + centre) if i >= 16 else label
+
+    changed = relabelled(dataset, zoomed)
+    first, *_ = findings(changed, Limits(translation_mm=100, rotation_deg=10), Assumptions())
+    assert first.severity == severity
+    assert first.text.startswith("cam's focal length has changed from collection 016 on")
 
 
 def sagging(low: float, tilt: float) -> Dataset:

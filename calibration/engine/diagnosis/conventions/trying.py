@@ -85,7 +85,10 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
 def doubts(calibration: Calibration, found: tuple[Finding, ...]) -> bool:
     """Whether a result is bad enough to try other conventions, by what was found and by the residuals."""
     bad = any(
-        f.kind in KINDS_THAT_CAST_DOUBT or (f.severity == "red" and f.kind not in KINDS_WITHOUT_DOUBT) for f in found
+        f.kind in KINDS_THAT_CAST_DOUBT
+        or (f.kind == "wrong-views" and (f.value or 0.0) > LEFT_OUT)
+        or (f.severity == "red" and f.kind not in KINDS_WITHOUT_DOUBT)
+        for f in found
     )
     return bad or not calibration.converged or _misfit_of_calibration(calibration).noticed > 1
 

@@ -48,6 +48,8 @@ MAX_RIVALS = 2
 """Number of alternatives that are reported with a cause."""
 MIN_GAIN_OF_ALTERNATIVE = 0.85
 """Explanations with at least this fraction of the best one's gain are reported as alternatives."""
+MIN_GAIN_OF_CHANGE = 0.95
+"""The same of another board or lens since some collection: that explains a part of every drift."""
 MIN_INFORMATION_LEFT = 1e-7
 """Part of the information on a cause that the other parameters must leave for it to be determined."""
 MIN_CLUSTERS_ON_A_SIDE = 4
@@ -57,6 +59,8 @@ DEGREES_IF_NOT_ESTIMATED = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
 MIN_CONTRADICTING_FACTOR = 3.0
 """Clusters contradict each other if they disagree by more than this times what is assumed."""
+KINDS_THAT_CHANGE = ("size", "focal length")
+"""Kinds that may change between two collections, by another board or a zoom, beside what may move (`PLACE_KIND`)."""
 KINDS_OF_STRETCH = {"stretch", "stretch along x", "stretch along y"}
 """Kinds that differ by the overall scale, which the data may not determine."""
 LENS_KIND = "intrinsics"
@@ -73,7 +77,7 @@ class Suspect:
 
     cause: Cause
     since: int | None
-    """First cluster with another pose; None for a cause that concerns all."""
+    """First cluster with another pose, board or lens; None for a cause that concerns all."""
     value: Array
     """(k,): estimated deviation."""
     errors: Array
@@ -86,6 +90,11 @@ class Suspect:
     """(S, k): changes of the calibrated parameters by its deviation."""
     rivals: tuple["Suspect", ...] = ()
     """Other causes that explain nearly as much."""
+
+    @property
+    def is_change(self) -> bool:
+        """Whether it says that another board or lens has been used since: of drifts, too, that explains a part."""
+        return self.since is not None and self.cause.kind != PLACE_KIND
 
     @property
     def sigma(self) -> Array:
@@ -187,7 +196,11 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
         if not significant:
             break
         most = max(each.gain for each in significant)
-        near = [each for each in significant if each.gain >= MIN_GAIN_OF_ALTERNATIVE * most]
+        near = [
+            each
+            for each in significant
+            if each.gain >= (MIN_GAIN_OF_CHANGE if each.is_change else MIN_GAIN_OF_ALTERNATIVE) * most
+        ]
         best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
         best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_worst_displacement)
         by_cause = {each.cause: each for each in sorted(near, key=lambda each: each.gain)}  # the best of each
@@ -328,7 +341,10 @@ def _candidates_by_size(model: LinearModel, fewest_moved: int) -> Iterator[_Cand
     for cause, at in model.placed():
         if not cause.tested:
             continue
-        since = range(fewest_moved, K - fewest_moved + 1) if cause.kind == PLACE_KIND else [None]
+        since: list[int | None] = [] if cause.kind == PLACE_KIND else [None]
+        if cause.kind == PLACE_KIND or cause.kind in KINDS_THAT_CHANGE:
+            fewest = fewest_moved if cause.kind == PLACE_KIND else MIN_CLUSTERS_ON_A_SIDE
+            since += range(fewest, K - fewest + 1)
         entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
     for each in entries.values():
         columns = np.array([np.arange(at.start, at.stop) for _, _, at in each])
