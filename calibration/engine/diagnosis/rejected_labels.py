@@ -206,9 +206,11 @@ def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedVi
 
 
 def _are_of_no_move(wrong: list[DroppedView], seen: list[str], kept: list[str]) -> bool:
-    """Whether the wrong views of a sensor beyond those kept are off by too different poses to be of one move."""
+    """Whether the wrong views of a sensor beyond those kept are too few for one move, or off by too different poses."""
     outside = {*seen[: seen.index(kept[0])], *seen[seen.index(kept[-1]) + 1 :]}
     sizes = np.array([(each.mm, each.degrees) for each in wrong if each.collection in outside])
+    if len(wrong) > 2 * len(sizes):
+        return True
     return len(sizes) >= MIN_VIEWS_OF_NO_MOVE and bool(np.all(sizes.max(0) > MIN_RATIO_OF_NO_MOVE * sizes.min(0)))
 
 

@@ -163,7 +163,8 @@ def _finding_on_suspect(
     )
     moved = {name: _larger_of_each(before[name], after[name]) for name in before}
     for name, turn in _turns_by_zoom(calibration, suspect).items():
-        moved[name] = _larger_of_each(moved.get(name, (0.0, 0.0)), (0.0, turn))
+        if name in moved:  # else it is the sensor that is held
+            moved[name] = _larger_of_each(moved[name], (0.0, turn))
     unsure, sigmas = _unsure_of_few_views(calibration, suspect, limits), _sigmas_of_moves(calibration, suspect)
     limit_of = {name: allowed(calibration, limits, name) for name in moved}
     over = [name for name, size in moved.items() if limit_of[name].exceeded(*map(_beyond_error, size, sigmas[name]))]

@@ -49,7 +49,7 @@ MAX_RIVALS = 2
 MIN_GAIN_OF_ALTERNATIVE = 0.85
 """Explanations with at least this fraction of the best one's gain are reported as alternatives."""
 MIN_GAIN_OF_CHANGE = 0.95
-"""The same of another board or lens since some collection: that explains a part of every drift."""
+"""Another board or lens that explains this fraction of a move's gain is taken for it: it explains a part of drifts."""
 MIN_INFORMATION_LEFT = 1e-7
 """Part of the information on a cause that the other parameters must leave for it to be determined."""
 MIN_CLUSTERS_ON_A_SIDE = 4
@@ -60,7 +60,7 @@ DEGREES_IF_NOT_ESTIMATED = 1e6
 MIN_CONTRADICTING_FACTOR = 3.0
 """Clusters contradict each other if they disagree by more than this times what is assumed."""
 KINDS_THAT_CHANGE = ("size", "focal length")
-"""Kinds that may change between two collections, by another board or a zoom, beside what may move (`PLACE_KIND`)."""
+"""Kinds that may change between two collections, by another board or a zoom: tested instead of a move."""
 KINDS_OF_STRETCH = {"stretch", "stretch along x", "stretch along y"}
 """Kinds that differ by the overall scale, which the data may not determine."""
 LENS_KIND = "intrinsics"
@@ -196,11 +196,7 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
         if not significant:
             break
         most = max(each.gain for each in significant)
-        near = [
-            each
-            for each in significant
-            if each.gain >= (MIN_GAIN_OF_CHANGE if each.is_change else MIN_GAIN_OF_ALTERNATIVE) * most
-        ]
+        near = [each for each in significant if each.gain >= MIN_GAIN_OF_ALTERNATIVE * most]
         best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
         best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_worst_displacement)
         by_cause = {each.cause: each for each in sorted(near, key=lambda each: each.gain)}  # the best of each
@@ -210,11 +206,9 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
         rivals.sort(key=lambda each: -each.gain)
         best = replace(best, rivals=tuple(rivals[:MAX_RIVALS]))
         if best.cause.kind == PLACE_KIND:
-            best = max(
-                _suspected_lenses(model, state, limit, MIN_GAIN_OF_ALTERNATIVE * best.gain),
-                key=lambda each: each.gain,
-                default=best,
-            )
+            others = _suspected_changes(model, state, limit, MIN_GAIN_OF_CHANGE * best.gain)
+            lenses = _suspected_lenses(model, state, limit, MIN_GAIN_OF_ALTERNATIVE * best.gain)
+            best = max((*others, *lenses), key=lambda each: each.gain, default=best)
         found.append(best)
         state = state.with_cause(columns_of_cause(model, best.cause), best.since)
     return Explanation(tuple(found), _remaining_disagreement(model, state))
@@ -231,6 +225,17 @@ def _suspected_lenses(model: LinearModel, state: "_State", limit: float, least: 
         lens = Cause(LENS_KIND, subject, "1", (0.0,) * len(effects), effects, counts=False)
         columns = columns_of_cause(model, lens)[None]
         of = _Candidates([lens], [None], columns, np.ones((1, len(state.G)), bool))
+        yield from (each for each in _test_candidates(state, of, limit) if each.gain >= least)
+
+
+def _suspected_changes(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
+    """Yield the boards and lenses that explain at least so much as another one from some cluster on."""
+    K = len(state.G)
+    since: list[int | None] = list(range(MIN_CLUSTERS_ON_A_SIDE, K - MIN_CLUSTERS_ON_A_SIDE + 1))
+    masks = np.array([np.arange(K) >= (each or 0) for each in since])
+    for cause in (each for each in model.causes if each.kind in KINDS_THAT_CHANGE and since):
+        columns = np.tile(columns_of_cause(model, cause), (len(since), 1))
+        of = _Candidates([cause] * len(since), since, columns, masks)
         yield from (each for each in _test_candidates(state, of, limit) if each.gain >= least)
 
 
@@ -341,10 +346,7 @@ def _candidates_by_size(model: LinearModel, fewest_moved: int) -> Iterator[_Cand
     for cause, at in model.placed():
         if not cause.tested:
             continue
-        since: list[int | None] = [] if cause.kind == PLACE_KIND else [None]
-        if cause.kind == PLACE_KIND or cause.kind in KINDS_THAT_CHANGE:
-            fewest = fewest_moved if cause.kind == PLACE_KIND else MIN_CLUSTERS_ON_A_SIDE
-            since += range(fewest, K - fewest + 1)
+        since = range(fewest_moved, K - fewest_moved + 1) if cause.kind == PLACE_KIND else [None]
         entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
     for each in entries.values():
         columns = np.array([np.arange(at.start, at.stop) for _, _, at in each])
