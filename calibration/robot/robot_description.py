@@ -20,6 +20,7 @@ from calibration.base.records import Converted, Place, field, length, record
 from calibration.base.text import one_line, shorten
 
 ENDING = ".xacro"
+XACRO_ELEMENT = b"<xacro:"
 MAX_BYTES = 10_000_000
 """Limit of a description's size, expanded or not: far above that of any robot."""
 PLACES = "packages are looked for beside the file's own one and in its repository; the key packages names one more"
@@ -58,7 +59,7 @@ def read_robot_description(path: Path, inputs: XacroInputs = NO_INPUTS) -> bytes
     """Read a URDF, or expand a xacro to one.
 
     Args:
-        path: path of the file; the name of a xacro ends with ``.xacro``.
+        path: path of the file; a xacro's name ends with ``.xacro``, or it has elements of xacro, as TurtleBot3's .urdf.
         inputs: of a xacro, its arguments, and the folder in which ``$(find PACKAGE)`` is searched after the file's own
             package; then it is in the one that holds that package, as a workspace does, and in the file's repository.
 
@@ -75,10 +76,10 @@ def read_robot_description(path: Path, inputs: XacroInputs = NO_INPUTS) -> bytes
             f"{packages}: packages: a xacro may read this whole folder, which holds your home, the system's or the "
             f"runner's files: name a smaller one, with the packages of {path.name} alone"
         )
-    if path.name.endswith(ENDING):
+    if path.name.endswith(ENDING) or XACRO_ELEMENT in content:
         return _expanded(path, inputs)
     if inputs.xacro:
-        raise InputError(f"{path}: found the xacro argument '{next(iter(inputs.xacro))}', but this is no {ENDING}")
+        raise InputError(f"{path}: found the xacro argument '{next(iter(inputs.xacro))}', but this is no xacro")
     return content
 
 

@@ -75,6 +75,14 @@ def test_a_copied_package_without_its_package_xml_is_found_by_its_folder(tmp_pat
     assert b"copied" in read_robot_description(file, XacroInputs(packages=tmp_path / "third_party"))
 
 
+def test_a_xacro_by_another_name_is_expanded(tmp_path: Path) -> None:
+    """As TurtleBot3's, whose launch file calls xacro on a .urdf."""
+    file = tmp_path / "robot.urdf"
+    file.write_text(f'{HEAD}<xacro:arg name="ns" default="left_"/><link name="$(arg ns)base"/></robot>')
+    assert b"left_base" in read_robot_description(file)
+    assert b"right_base" in read_robot_description(file, XacroInputs(xacro={"ns": "right_"}))
+
+
 def test_a_system_of_a_simulation_may_have_one(tmp_path: Path) -> None:
     folder = tmp_path / "cell_description" / "urdf"
     arm_in_packages(tmp_path).rename(folder / "robot.urdf.xacro")
