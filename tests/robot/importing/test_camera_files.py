@@ -269,6 +269,81 @@ PLEX = {
 }
 
 
+def camodocal(kind: str, names: str, coefficients: dict[str, dict[str, float]]) -> str:
+    sections = {"projection_parameters": dict(zip(names.split(), [500.0, 501.0, 320.0, 240.0], strict=True))}
+    camera = {"model_type": kind, "camera_name": "camera", "image_width": 640, "image_height": 480}
+    return "%YAML:1.0\n---\n" + yaml.safe_dump({**camera, **coefficients, **sections})
+
+
+def basalt(kind: str, coefficients: dict[str, float]) -> str:
+    """Two cameras, the second 0.1 m to the right of the first, both turned in the frame of the IMU."""
+    lens = {"fx": 500.0, "fy": 501.0, "cx": 320.0, "cy": 240.0, **coefficients}
+    turned = dict(zip(("qx", "qy", "qz", "qw"), [0.0, 0.0, 0.5**0.5, 0.5**0.5], strict=True))
+    poses = [{"px": 1.0, "py": y, "pz": 0.0, **turned} for y in (2.0, 2.1)]
+    camera = {"camera_type": kind, "intrinsics": lens}
+    document = {"T_imu_cam": poses, "intrinsics": [camera] * 2, "resolution": [[640, 480]] * 2}
+    return json.dumps({"value0": document})
+
+
+D_CAMODOCAL = dict(zip(("k1", "k2", "p1", "p2"), D4, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("text", "model", "coefficients"),
+    [
+        (camodocal("PINHOLE", "fx fy cx cy", {"distortion_parameters": D_CAMODOCAL}), "plumb_bob", [*D4, 0.0]),
+        (
+            camodocal(
+                "MEI", "gamma1 gamma2 u0 v0", {"mirror_parameters": {"xi": 1.5}, "distortion_parameters": D_CAMODOCAL}
+            ),
+            "omni",
+            [1.5, *D4],
+        ),
+        (
+            (
+                "%YAML:1.0\n---\nmodel_type: KANNALA_BRANDT\nimage_width: 640\nimage_height: 480\n"
+                "projection_parameters: {k2: 0.1, k3: 0.2, k4: 0.3, k5: 0.4, mu: 500, mv: 501, u0: 320, v0: 240}"
+            ),
+            "equidistant",
+            [0.1, 0.2, 0.3, 0.4],
+        ),
+        (basalt("ds", {"xi": -0.2, "alpha": 0.59}), "double_sphere", [-0.2, 0.59]),
+        (basalt("eucm", {"alpha": 0.6, "beta": 1.1}), "eucm", [0.6, 1.1]),
+        (basalt("kb4", {"k1": 0.1, "k2": 0.2, "k3": 0.3, "k4": 0.4}), "equidistant", [0.1, 0.2, 0.3, 0.4]),
+    ],
+)
+def test_a_camera_of_visual_odometry(tmp_path: Path, text: str, model: str, coefficients: list[float]) -> None:
+    """As camodocal and basalt write them."""
+    file = tmp_path / ("cam.json" if text.startswith("{") else "cam.yaml")
+    file.write_text(text)
+    lens = read_lens(file, name="cam1" if "value0" in text else None)
+    assert isinstance(lens.camera.distortion, MODELS[model])
+    assert lens.camera.intrinsics.tolist() == [500.0, 501.0, 320.0, 240.0, *coefficients]
+    assert (lens.camera.width, lens.camera.height) == (640, 480)
+    if "value0" in text:
+        assert lens.T_chain_camera is not None
+        np.testing.assert_allclose(lens.T_chain_camera[:3, 3], [0.1, 0.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            camodocal("SCARAMUZZA", "fx fy cx cy", {}),
+            "cam.yaml: model_type: found 'SCARAMUZZA', expected one of PINHOLE",
+        ),
+        (camodocal("MEI", "gamma1 gamma2 u0 v0", {}), "has no xi, k1, k2, p1, p2 in mirror_parameters"),
+        (basalt("fov", {"w": 0.9}), "camera_type: found 'fov', expected one of pinhole"),
+        (basalt("ds", {"xi": -0.2}), "intrinsics: .*'alpha'"),
+        (basalt("pinhole", {}).replace("0.7071067811865476", "0.1"), "quaternion of length 1"),
+    ],
+)
+def test_a_wrong_camera_of_visual_odometry_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "cam.yaml").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_lens(tmp_path / "cam.yaml", name="cam1" if "value0" in text else None)
+
+
 def anipose(fisheye: str) -> str:
     camera = f'[cam_0]\nname = "A"\nsize = [640, 480]\nmatrix = {K4}\ndistortions = {D4}\nfisheye = {fisheye}\n'
     return f"{camera}[metadata]\nadjusted = false\n"

@@ -1,7 +1,7 @@
-"""Intrinsics in the files of other tools: ROS, Kalibr, OpenCV, aslam, anipose, MetriCal, ViSP, our own calibrations."""
+"""Intrinsics in files: of ROS, Kalibr, OpenCV, anipose, our own calibrations, and of the tools of `other_cameras`."""
 
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,16 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS, SYNONYMS
 from calibration.engine.geometry.transforms import inverse, transform
+from calibration.robot.importing.files.other_cameras import (
+    as_camera_info,
+    aslam_as_camera_info,
+    basalt_as_camera_info,
+    camodocal_as_camera_info,
+    choose_camera,
+    flat_numbers,
+    metrical_as_camera_info,
+    visp_as_camera_info,
+)
 from calibration.robot.importing.files.structured_files import read_structured
 
 KALIBR_MODELS = {
@@ -129,12 +139,17 @@ def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
     if isinstance(root.value, list):
         root = Node(root.file, (), {"K": root.value})  # a matrix alone, as numpy.save writes it
     document = root.mapping()
+    if "value0" in document:
+        info, T_chain_camera = basalt_as_camera_info(root, name)
+        return KnownLens(root.file, read_camera(info), has_size=True, T_chain_camera=T_chain_camera)
     if "components" in document:
-        root, name = _metrical_as_camera_info(root["components"], name), None
+        root, name = metrical_as_camera_info(root["components"], name), None
     elif "camera" in document and isinstance(document["camera"], dict) and "model" in document["camera"]:
-        root = _visp_as_camera_info(root["camera"])
+        root = visp_as_camera_info(root["camera"])
+    elif "model_type" in document:
+        root = camodocal_as_camera_info(root)
     elif cameras := _cameras_by_name(root):
-        chosen = _choose_camera(root, list(cameras), name)
+        chosen = choose_camera(root, list(cameras), name)
         node, name = cameras[chosen], None
         if "camera_info" in node.value:
             return _of_our_calibration(node)
@@ -148,7 +163,7 @@ def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
     if isinstance(root.value.get("intrinsics"), dict) and "fx" in root.value["intrinsics"]:
         return _robot_cal_tools(root["intrinsics"])
     if "intrinsics" in root.value and isinstance(root.value.get("distortion"), dict) and "type" in root.value:
-        root = _aslam_as_camera_info(root)
+        root = aslam_as_camera_info(root)
     return _camera_info(root, model)
 
 
@@ -167,62 +182,6 @@ def _cameras_by_name(root: Node) -> dict[str, Node]:
     return found
 
 
-def _metrical_as_camera_info(components: Node, name: str | None) -> Node:
-    """Return a camera of MetriCal's plex, whose pixels begin at the corner of the first one, as camera_info."""
-    cameras = {
-        node["camera"]["name"].text(): node["camera"]["intrinsics"]
-        for node in components.elements()
-        if isinstance(node.value, dict) and "camera" in node.value
-    }
-    if not cameras:
-        raise components.fault("found no camera among the components, expected one")
-    node = cameras[_choose_camera(components, list(cameras), name)]
-    pinhole = node["projection"]["pinhole"]
-    f, cx, cy = (pinhole[key].number() for key in ("f", "cx", "cy"))
-    affinity = node.get("affinity")
-    a1 = affinity["a1"] if affinity and affinity.get("a1") else None
-    if a1 is not None and a1.number() != 0:
-        raise a1.unexpected("0: of the same focal length in x and y")
-    D, model = [], ""
-    for kind, coefficients in distortion.items() if (distortion := node.get("distortion")) else ():
-        names = {"opencv_radtan": ("k1", "k2", "p1", "p2", "k3"), "opencv_fisheye": ("k1", "k2", "k3", "k4")}.get(kind)
-        values = [each.number() for _, each in coefficients.items()]
-        if names is None and any(values):
-            raise coefficients.fault(f"found the lens model '{kind}', expected opencv_radtan or opencv_fisheye")
-        if names is not None:
-            D, model = [coefficients[each].number() for each in names], ROS_NAME_OF_MODEL[kind]
-    size = (node["width"].value, node["height"].value)
-    return _as_camera_info(node, (f, f, cx - 0.5, cy - 0.5), D, model, size)
-
-
-def _visp_as_camera_info(node: Node) -> Node:
-    """Return the camera of ViSP's vpXmlParserCamera as camera_info; its ``kud`` is k1 of plumb_bob."""
-    model = node["model"]
-    fx, cx, fy, cy = (model[key].number() for key in ("px", "u0", "py", "v0"))
-    k1 = model["kud"].number() if model.get("kud") else 0.0
-    size = (node["image_width"].value, node["image_height"].value)
-    return _as_camera_info(node, (fx, fy, cx, cy), [k1, 0.0, 0.0, 0.0, 0.0], "plumb_bob", size)
-
-
-def _aslam_as_camera_info(root: Node) -> Node:
-    """Return a camera of aslam's YAML as camera_info."""
-    if (projection := root["type"]).text() != "pinhole":
-        raise projection.unexpected("pinhole")
-    flat = Node(root.file, (*root.keys, "intrinsics"), _flat_numbers(root["intrinsics"]))
-    distortion = root["distortion"]
-    parameters = distortion.get("parameters")
-    D, size = _flat_numbers(parameters) if parameters else [], (root["image_width"].value, root["image_height"].value)
-    return _as_camera_info(root, flat.numbers(4), D, distortion["type"].text(), size)
-
-
-def _as_camera_info(node: Node, intrinsics: Sequence[float], D: Sequence[Any], model: str, size: Sequence[Any]) -> Node:
-    """Return a camera as camera_info: fx, fy, cx, cy; coefficients; the name of the lens model; width and height."""
-    fx, fy, cx, cy = intrinsics
-    K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    info = {"width": size[0], "height": size[1], "K": K, "D": D, "distortion_model": model}
-    return Node(node.file, node.keys, info)
-
-
 def _of_our_calibration(node: Node) -> KnownLens:
     """Parse a camera in the ``intrinsics.json`` of a calibration, with its covariance."""
     camera, found = read_camera(node["camera_info"]), read_calibrated(node)
@@ -233,24 +192,16 @@ def _of_our_calibration(node: Node) -> KnownLens:
 def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
     """Parse a camera in the FileStorage of ``export``: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
     names = {root[f"name_{number}"].text(): number for number in numbered}
-    number = names[_choose_camera(root, list(names), name)]
-    width, height = Node(root.file, (f"size_{number}",), _flat_numbers(root[f"size_{number}"])).numbers(2)
+    number = names[choose_camera(root, list(names), name)]
+    width, height = Node(root.file, (f"size_{number}",), flat_numbers(root[f"size_{number}"])).numbers(2)
     info = {
         "width": width,
         "height": height,
-        "K": _flat_numbers(root[f"K_{number}"]),
-        "D": _flat_numbers(root[f"D_{number}"]),
+        "K": flat_numbers(root[f"K_{number}"]),
+        "D": flat_numbers(root[f"D_{number}"]),
         "distortion_model": root[f"model_{number}"].text(),
     }
     return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
-
-
-def _choose_camera(root: Node, cameras: list[str], name: str | None) -> str:
-    if name is None and len(cameras) > 1:
-        raise root.fault(f"has several cameras: add 'camera' with one of {', '.join(map(str, cameras))}")
-    if name is not None and name not in cameras:
-        raise root.fault(f"found the cameras {', '.join(map(str, cameras))}, expected '{name}'")
-    return name or cameras[0]
 
 
 def _read_kalibr_lens(node: Node) -> KnownLens:
@@ -265,7 +216,7 @@ def _read_kalibr_lens(node: Node) -> KnownLens:
     before = model.kalibr.intrinsics if model.kalibr else 0
     numbers = node["intrinsics"].numbers(before + 4)
     D = [*numbers[:before], *(coefficients.sequence() if coefficients else [])]
-    info = _as_camera_info(node, numbers[before:], D, model.ros_name, node["resolution"].numbers(2))
+    info = as_camera_info(node, numbers[before:], D, model.ros_name, node["resolution"].numbers(2))
     return KnownLens(node.file, read_camera(info), has_size=True)
 
 
@@ -312,7 +263,7 @@ def _camera_info(root: Node, model: str | None) -> KnownLens:
             "OpenCV's FileStorage (camera_matrix or K)"
         )
     D = found.get("D")
-    coefficients = _flat_numbers(D) if D else []
+    coefficients = flat_numbers(D) if D else []
     stated = model or _stated_model(root)
     if not stated and len(coefficients) == AMBIGUOUS_COEFFICIENTS and any(coefficients) and D:
         raise D.fault(
@@ -321,12 +272,12 @@ def _camera_info(root: Node, model: str | None) -> KnownLens:
         )
     stated = stated or ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob")
     info: dict[str, Any] = {
-        "K": _flat_numbers(found["K"]),
+        "K": flat_numbers(found["K"]),
         "D": _of_the_model(D, coefficients, stated) if D else [],
         "distortion_model": stated,
     }
     if (size := _first_present(root, _SIZE_KEYS)) is not None:
-        info["width"], info["height"] = Node(size.file, size.keys, _flat_numbers(size)).numbers(2)
+        info["width"], info["height"] = Node(size.file, size.keys, flat_numbers(size)).numbers(2)
     elif "width" in found and "height" in found:
         info |= {"width": found["width"].value, "height": found["height"].value}
     else:
@@ -368,7 +319,7 @@ def _read_standard_deviations(root: Node, info: Mapping[str, Any]) -> LensUncert
     found: dict[str, float] = {}
     for keys, of in _DEVIATION_KEYS:
         if (node := _first_present(root, keys)) is not None:
-            flat = Node(root.file, node.keys, _flat_numbers(node))
+            flat = Node(root.file, node.keys, flat_numbers(node))
             values = [each.within(0, MAX_INTRINSIC) for each in flat.elements()]
             found |= {name: value for name, value in zip(names[of], values, strict=False) if value > 0}
     parameters = tuple(name for name in names if name in found)
@@ -382,16 +333,6 @@ def _without_size(node: Node, info: Mapping[str, Any]) -> KnownLens:
 
 def _first_present(root: Node, keys: tuple[str, ...]) -> Node | None:
     return next((node for key in keys if (node := root.get(key))), None)
-
-
-def _flat_numbers(node: Node) -> list[Any]:
-    """Return a matrix as a flat list: from a flat list, from rows, or from ROS's and OpenCV's form with its size."""
-    if isinstance(node.value, dict):
-        node = node["data"]
-    rows = list(node.elements())
-    if rows and all(isinstance(row.value, list) for row in rows):
-        return [number.number() for row in rows for number in row.elements()]
-    return [number.number() for number in rows]
 
 
 def with_baselines(
