@@ -30,10 +30,10 @@ from calibration.engine.estimation.covariance.lens_errors import lens_errors
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Assumptions, Options
 from calibration.engine.geometry.transforms import apply, inverse, retract, translation
+from calibration.engine.tasks.carried_out import errors_of_robot
 from calibration.engine.tasks.placed_task import UNIT_PER_SI
 from calibration.engine.tasks.robot_task import Box, RobotTask
 from calibration.engine.tasks.task_errors import TaskError, task_errors
-from tests.engine.tasks.carried_out import errors_of_robot
 
 ROBOTS, ROBOTS_OF_PARTS = 200, 20
 """Of each system: whose tasks are counted, and that are calibrated again without each cause."""

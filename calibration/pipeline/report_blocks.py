@@ -180,6 +180,8 @@ def tasks_table(results: PipelineResults) -> Table:
             parts = ", ".join(f"{each.source} {each.sigma:.2g}" for each in task.parts[:CAUSES_SHOWN])
             limit = "-" if task.limit is None else f"{task.limit:.3g} {task.unit}: {task.state}"
             error = f"{task.median:.3g}, {task.most:.3g} {task.unit}"
+            if task.truth is not None and task.within is not None:
+                error += f"; true {task.truth:.3g} at most, {task.within:.0%} within"
             rows.append((f"{system}: {task.name}", error, task.worst, parts, limit))
     header = ("Task", "Error at the worst point: median, 95 %", "Worst point", "What it comes from", "Limit")
     return Table(header, tuple(rows), TRANSFORMS_SHOWN, brief=True)

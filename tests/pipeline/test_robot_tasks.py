@@ -104,6 +104,20 @@ def test_a_run_judges_them_and_tells_of_them_everywhere(tmp_path: Path) -> None:
     assert TaskDocument(**tasks["tip"]).unit == "mm"
 
 
+def test_against_a_truth_their_own_error_counts(tmp_path: Path) -> None:
+    """Without other errors than labels' each point is far within what is stated; a limit below its error is broken."""
+    tight = GRASP.replace("grasp", "tight").replace("limit-mm: 3", "limit-mm: 0.0001")
+    path, output = write(tmp_path, f"{GRASP}, {tight}"), tmp_path / "output"
+    path.write_text(path.read_text().replace("truth: none, ", ""))
+    assert main(["calibrate-matrix", "--config", str(path), "--output", str(output), "--jobs", "1"]) == 1
+    [cell] = json.loads((output / "results.json").read_text())["cells"]
+    grasp, broken = cell["tasks"]
+    assert (grasp["state"], grasp["within"], grasp["truth"] < grasp["most"]) == ("holds", 1.0, True)
+    assert (broken["state"], broken["truth"] > 0.0001) == ("broken", True)
+    assert any(each.startswith("error of task 'tight' against the truth") for each in cell["reasons"])
+    assert f"true {grasp['truth']:.3g} at most, 100% within" in (output / "summary.md").read_text()
+
+
 def test_a_task_is_broken_by_what_is_red_and_names_it() -> None:
     """Else undecided by its error, or it holds; without a limit nothing is said."""
     each = {"unit": "mm", "median": 0.5, "typical": 0.4, "worst": "", "parts": (), "frame": "tool"}

@@ -88,17 +88,25 @@ def truth_error(dataset: Dataset, truth: Truth) -> TruthError:
     Raises:
         InputError: the truth lacks a sensor or a joint, something is missing or not finite, or nothing is calibrated.
     """
-    sensors = list(dataset.sensors.values())
-    missing = [s for s in sensors if s.edge not in truth.transforms]
-    if missing:
-        raise InputError(f"{truth.path}: sensor '{missing[0].name}': no true transform '{'-'.join(missing[0].edge)}'")
     labelled = [i for i, c in enumerate(dataset.collections) if c.labels]
     if not labelled:
         raise InputError(f"{dataset.path}: no collection has labels: nothing is calibrated")
     found = dataset.with_collections(labelled)
-    joints = {name: _true_values(joint, truth) for name, joint in found.joints.items()}
-    true = found.with_transforms({s.edge: truth.transforms[s.edge] for s in sensors}).with_joints(joints)
-    return error_against(found, true, relative=dataset.anchored is None)
+    return error_against(found, with_true_values(found, truth), relative=dataset.anchored is None)
+
+
+def with_true_values(dataset: Dataset, truth: Truth) -> Dataset:
+    """Return a dataset with the true transforms of its sensors, and the true values of its calibrated joints.
+
+    Raises:
+        InputError: the truth lacks one.
+    """
+    sensors = list(dataset.sensors.values())
+    missing = [s for s in sensors if s.edge not in truth.transforms]
+    if missing:
+        raise InputError(f"{truth.path}: sensor '{missing[0].name}': no true transform '{'-'.join(missing[0].edge)}'")
+    joints = {name: _true_values(joint, truth) for name, joint in dataset.joints.items()}
+    return dataset.with_transforms({s.edge: truth.transforms[s.edge] for s in sensors}).with_joints(joints)
 
 
 def error_against(found: Dataset, true: Dataset, relative: bool) -> TruthError:

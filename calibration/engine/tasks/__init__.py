@@ -4,5 +4,6 @@
 - ``placed_task``: its points at a calibration, and `placed_task.task_jacobian`: the derivatives of its error by all
   parameters of the calibration, calibrated and held;
 - ``gaussian_norm``: quantiles of the norm of a Gaussian error;
-- ``task_errors``: `task_errors.task_errors`, its error at every point, split by what it comes from.
+- ``task_errors``: `task_errors.task_errors`, its error at every point, split by what it comes from;
+- ``carried_out``: its error against a known world.
 """

@@ -13,6 +13,7 @@ from calibration.engine.baseline.calibration_document import TaskDocument
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.dataset.reading import FILE_NAME
+from calibration.engine.dataset.truth import Truth
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.precision import worst_false_accept
@@ -20,9 +21,11 @@ from calibration.engine.diagnosis.robot_tasks import place_in_words
 from calibration.engine.estimation.covariance.projection import projection_of
 from calibration.engine.estimation.covariance.result import CalibratedJoint, CalibratedLag, Calibration
 from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
+from calibration.engine.evaluation.truth import with_true_values
 from calibration.engine.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.engine.geometry.transforms import distance
-from calibration.engine.tasks.placed_task import COLUMNS_OVER_IMAGE
+from calibration.engine.tasks.carried_out import errors_of_robot
+from calibration.engine.tasks.placed_task import COLUMNS_OVER_IMAGE, UNIT_PER_SI
 from calibration.engine.tasks.task_errors import TaskError
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
@@ -48,8 +51,17 @@ def described(
     description: Dataset,
     limits: Limits,
     tasks: Sequence[TaskError] = (),
+    truth: Truth | None = None,
 ) -> CellResult:
-    """Return the result with the calibration's own statistics, and the errors of the robot's tasks."""
+    """Return the result with the calibration's own statistics, and the errors of the robot's tasks.
+
+    Raises:
+        InputError: the truth lacks a sensor or a joint.
+    """
+    true = None
+    if tasks and truth is not None:
+        cameras = {name: sensor.camera for name, sensor in description.sensors.items() if sensor.camera}
+        true = with_true_values(calibration.solution.dataset, truth).with_cameras(cameras)
     details = Details(
         transforms=tuple(
             _describe_transform(calibration, description, edge)
@@ -82,13 +94,17 @@ def described(
         label_sigma=_largest_deviation(calibration, labels_only=True) if calibration.converged else None,
         false_accept=worst_false_accept(calibration, limits) if calibration.converged else None,
         reasons=(calibration.reason,) if calibration.reason else (),
-        tasks=tuple(map(_describe_task, tasks)),
+        tasks=tuple(_describe_task(each, calibration.solution.dataset, true) for each in tasks),
         details=details,
     )
 
 
-def _describe_task(error: TaskError) -> TaskResult:
+def _describe_task(error: TaskError, used: Dataset, true: Dataset | None) -> TaskResult:
     task = error.task
+    off = None
+    if true is not None:
+        with np.errstate(all="ignore"):  # a point that the true camera does not see has no pixel
+            off = UNIT_PER_SI[task.unit] * np.linalg.norm(errors_of_robot(error.placed, true, used), axis=1)
     return TaskResult(
         name=task.name,
         unit=task.unit,
@@ -99,6 +115,8 @@ def _describe_task(error: TaskError) -> TaskResult:
         worst=place_in_words(error),
         parts=tuple(TaskPart(kind, _rounded(sigma)) for kind, sigma in error.parts().items()),
         frame=error.placed.frame,
+        truth=None if off is None or not np.isfinite(off).any() else _rounded(np.nanmax(off)),
+        within=None if off is None else _rounded((off <= error.most).mean()),
     )
 
 
@@ -119,16 +137,15 @@ def _map_of_task(error: TaskError) -> TaskMap:
 
 
 def judged_tasks(tasks: Sequence[TaskResult], findings: Sequence[Finding]) -> tuple[TaskResult, ...]:
-    """Return tasks with the state of their limits, by the findings on them; undecided where nothing else is said."""
+    """Return tasks with the state of their limits: broken by a finding or against the truth, else by what is stated."""
     broken = {name for each in findings if each.severity == "red" for name in each.tasks}
-    return tuple(
-        each
-        if each.limit is None
-        else replace(
-            each, state="broken" if each.name in broken else "undecided" if each.most > each.limit else "holds"
-        )
-        for each in tasks
-    )
+
+    def judged(task: TaskResult, limit: float) -> TaskResult:
+        if task.name in broken or (task.truth or 0.0) > limit:
+            return replace(task, state="broken")
+        return replace(task, state="undecided" if task.most > limit else "holds")
+
+    return tuple(each if each.limit is None else judged(each, each.limit) for each in tasks)
 
 
 def documents_of_tasks(tasks: Sequence[TaskResult]) -> dict[str, TaskDocument]:

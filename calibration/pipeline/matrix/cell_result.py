@@ -166,6 +166,10 @@ class TaskResult:
     worst: str = field("The worst point.")
     parts: tuple[TaskPart, ...] = field("What it comes from, largest first.")
     frame: str = field("The frame in which it counts.")
+    truth: float | None = field("The largest error at its points against the truth, if that is known.", default=None)
+    within: float | None = field(
+        "Share of its points whose error against the truth is within what it does not exceed in 95 %.", default=None
+    )
 
 
 @result(kw_only=True)

@@ -88,6 +88,7 @@ def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
             ("joint translation error against the truth", truth.joint_mm, limits.joint_mm, "mm"),
             ("joint rotation error against the truth", truth.joint_deg, limits.joint_deg, "deg"),
         ]
+    judged += [(f"error of task '{e.name}' against the truth", e.truth, e.limit, e.unit) for e in cell.tasks if e.truth]
     checks = (at_most(what, value, limit, unit) for what, value, limit, unit in judged if limit is not None)
     return [str(check) for check in checks if not check.passed]
 

@@ -120,7 +120,7 @@ def _without_calibration(cell: Cell, system: LoadedSystem, error: CalibrationErr
 
 def _diagnose_cell(cell: Cell, system: LoadedSystem, calibration: Calibration) -> CellResult:
     tasks = task_errors(calibration, system.tasks)
-    result = described(nothing_yet(cell), calibration, system.dataset, system.limits, tasks)
+    result = described(nothing_yet(cell), calibration, system.dataset, system.limits, tasks, system.truth)
     found = diagnose(calibration, system.dataset, system.options, system.limits, system.truth is not None, tasks)
     result = replace(result, tasks=judged_tasks(result.tasks, found))
     result = result.explained(found) if any(each.kind == "convention" for each in found) else result.found(found)
@@ -147,7 +147,7 @@ def _diagnose_and_evaluate(cell: Cell, system: LoadedSystem, calibration: Calibr
     calibration, said = after_move(calibration, result.findings, system.prepared, system.limits)
     if said:
         tasks = task_errors(calibration, system.tasks)
-        described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits, tasks)
+        described_now = described(nothing_yet(cell), calibration, system.dataset, system.limits, tasks, system.truth)
         described_now = replace(described_now, tasks=judged_tasks(described_now.tasks, result.findings))
         result = described_now.found((*result.findings, *said))
     made = _evaluate_dataset(result, calibration.dataset, system, calibration)

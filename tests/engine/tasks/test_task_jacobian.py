@@ -12,10 +12,10 @@ from calibration.engine.estimation.covariance.fixed_inputs import LINK_KIND
 from calibration.engine.estimation.covariance.result import Solution
 from calibration.engine.estimation.options import Options
 from calibration.engine.geometry.transforms import retract, translation
+from calibration.engine.tasks.carried_out import errors_of_robot
 from calibration.engine.tasks.placed_task import UNIT_PER_SI, PlacedTask, place_task, task_jacobian
 from calibration.engine.tasks.robot_task import RobotTask
 from tests.engine.estimation import systems
-from tests.engine.tasks.carried_out import errors_of_robot
 
 STEP = 1e-6
 NEAR = ((0.1, -0.1, 1.2), (-0.2, 0.15, 2.0))

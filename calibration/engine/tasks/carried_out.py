@@ -1,4 +1,4 @@
-"""A robot that carries out a task with one calibration while the world is as another one says."""
+"""A robot that carries out a task with one calibration, while the world is as another one says."""
 
 import numpy as np
 
@@ -9,17 +9,18 @@ from calibration.engine.geometry.transforms import apply, inverse
 from calibration.engine.tasks.placed_task import PlacedTask
 
 STEPS = 4
+"""Steps of Gauss and Newton of a triangulation."""
 
 
-def camera_of(dataset: Dataset, name: str) -> Camera:
-    """The camera of a sensor that has one."""
+def _camera_of(dataset: Dataset, name: str) -> Camera:
     camera = dataset.sensors[name].camera
-    assert camera is not None
+    if camera is None:
+        raise AssertionError("a task's camera has intrinsics")
     return camera
 
 
 def errors_of_robot(placed: PlacedTask, true: Dataset, used: Dataset, ranges: Array | None = None) -> Array:
-    """How far off it is, (n, m), px or m (of a direction, rad).
+    """Return how far off it is at the n points of a task, (n, m), px or m (of a direction, rad).
 
     Args:
         placed: the task.
@@ -47,7 +48,7 @@ def errors_of_robot(placed: PlacedTask, true: Dataset, used: Dataset, ranges: Ar
         if not first.modality.has_corners:
             found = back(used, first.frame, p if ranges is None else p + ranges)
         elif len(task.seen_by) == 1:
-            lens, known = camera_of(true, task.seen_by[0]), camera_of(used, task.seen_by[0])
+            lens, known = _camera_of(true, task.seen_by[0]), _camera_of(used, task.seen_by[0])
             rays = known.rays(lens.project(p))
             rays *= (np.linalg.norm(p, axis=-1) / np.linalg.norm(rays, axis=-1))[:, None]
             found = back(used, first.frame, rays)
@@ -59,14 +60,14 @@ def errors_of_robot(placed: PlacedTask, true: Dataset, used: Dataset, ranges: Ar
             for _ in range(STEPS):
                 J, r = [], []
                 for name in task.seen_by:
-                    lens, frame = camera_of(used, name), true.sensors[name].frame
+                    lens, frame = _camera_of(used, name), true.sensors[name].frame
                     q = seen(used, frame, found)
-                    r.append(lens.project(q) - camera_of(true, name).project(seen(true, frame, y)))
+                    r.append(lens.project(q) - _camera_of(true, name).project(seen(true, frame, y)))
                     R = to(used, frame)[:, :3, :3]
                     J.append(np.moveaxis(lens.slopes(q.T), -1, 0) @ np.swapaxes(R, 1, 2))
                 found = found - (np.linalg.pinv(np.concatenate(J, 1)) @ np.concatenate(r, 1)[..., None])[..., 0]
     if task.image is not None:
-        return camera_of(used, task.image).project(found) - camera_of(true, task.image).project(y)
+        return _camera_of(used, task.image).project(found) - _camera_of(true, task.image).project(y)
     if task.plane is not None:
         return np.asarray((found - y)[:, :2])
     if task.unit == "deg":
