@@ -34,7 +34,9 @@ class AtTask:
     error: TaskError | None = None
     size: float = 0.0
     broken: tuple[str, ...] = ()
-    """All tasks whose limit it exceeds."""
+    """All tasks whose limit it exceeds, also without what its own error makes it larger,"""
+    undecided: tuple[str, ...] = ()
+    """and by its estimate alone."""
 
     def __bool__(self) -> bool:
         return self.error is not None
@@ -47,11 +49,24 @@ class AtTask:
         return f"it makes {self.size:.3g} {task.unit} at task '{task.name}'{limit}"
 
 
-def worst_at_tasks(tasks: Sequence[TaskError], changes: Sequence[Array]) -> AtTask:
-    """Return what changes (C,) of the parameters, each by itself, do to the task that they harm most."""
+def worst_at_tasks(tasks: Sequence[TaskError], changes: Sequence[Array], errors: Sequence[Array] = ()) -> AtTask:
+    """Return what changes (C,) of the parameters, each by itself, do to the task that they harm most.
+
+    Args:
+        tasks: the tasks.
+        changes: the changes.
+        errors: (C, r) of each, independent ones.
+    """
     each = [AtTask(task, max(task.largest_change(change) for change in changes)) for task in tasks]
+    sure = [
+        AtTask(task, max(task.largest_change(change, error) for change, error in zip(changes, errors, strict=True)))
+        for task in tasks
+        if errors
+    ]
     worst = max(each, key=_share_of_limit, default=AtTask())
-    return replace(worst, broken=tuple(one.error.task.name for one in each if one.error and _share_of_limit(one) > 1))
+    over, broken = (tuple(a.error.task.name for a in of if a.error and _share_of_limit(a) > 1) for of in (each, sure))
+    broken = broken if errors else over
+    return replace(worst, broken=broken, undecided=tuple(name for name in over if name not in broken))
 
 
 def _share_of_limit(found: AtTask) -> float:

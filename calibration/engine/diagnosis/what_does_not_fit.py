@@ -195,10 +195,10 @@ def _finding_on_suspect(
         if any(unsure[sensor]):
             harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
     text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
-    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]))
+    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]), _errors_of_changes(calibration, suspect))
     if over:
         text += f"; {harm} (limit {limit_of[sensor]}): {advice}"
-    elif at_task.broken:
+    elif at_task.broken or at_task.undecided:
         text += f"; {at_task}: {advice}"
     elif gross:
         text += f", more than any {GROSS_DEVIATIONS[cause.kind][1]} errs: {advice}"
@@ -208,7 +208,7 @@ def _finding_on_suspect(
         text += f"; {harm} (limit {limit_of[sensor]})"
     text += f": {advice}" if changed and not text.endswith(advice) else ""
     severity: Severity = "warning" if changed else "note"
-    if over:
+    if over or at_task.undecided:
         severity = "red" if is_red else "undecided"
     one = cause.size == 1
     return Finding(
@@ -222,7 +222,7 @@ def _finding_on_suspect(
         unit=cause.unit if one else None,
         moves_mm=round(mm, 4),
         moves_deg=round(degrees, 5),
-        tasks=at_task.broken,
+        tasks=at_task.broken or at_task.undecided,
     )
 
 
@@ -356,6 +356,15 @@ def _changes_by(calibration: Calibration, suspects: Sequence[Suspect]) -> list[A
     for each in suspects:
         both[:, : model.shared] += each.moves, _moves_after(calibration, each)
         both[:, columns_of_cause(model, each.cause)] += each.value
+    return list(both)
+
+
+def _errors_of_changes(calibration: Calibration, suspect: Suspect) -> list[Array]:
+    """Return the errors (C, r) of the changes of all columns by a suspect: to before, and to after a move."""
+    model = calibration.solution.model
+    both = np.zeros((2, model.total.shape[0], suspect.errors.shape[1]))
+    both[:, : model.shared] = suspect.moved_by @ suspect.errors, _moved_after(calibration, suspect) @ suspect.errors
+    both[:, columns_of_cause(model, suspect.cause)] += suspect.errors
     return list(both)
 
 

@@ -73,9 +73,15 @@ class TaskError:
             sums[each.kind] = sums.get(each.kind, 0.0) + float((moved**2).sum())
         return {kind: part**0.5 for kind, part in sorted(sums.items(), key=lambda each: -each[1]) if part > 0}
 
-    def largest_change(self, changes: Array) -> float:
-        """Return how far changes (C,) of all parameters, calibrated and held, move it at the worst point for them."""
-        return float(np.linalg.norm(self.jacobian @ changes, axis=1).max())
+    def largest_change(self, changes: Array, errors: Array | None = None) -> float:
+        """Return how far changes (C,) of all parameters, calibrated and held, move it at the worst point for them.
+
+        Without what their independent errors (C, r) make it longer: ``E |x + e|^2 = |x|^2 + E |e|^2``.
+        """
+        sizes = np.linalg.norm(self.jacobian @ changes, axis=1)
+        worst = int(sizes.argmax())
+        by_error = 0.0 if errors is None else np.linalg.norm(self.jacobian[worst] @ errors)
+        return float(np.sqrt(max(0.0, sizes[worst] ** 2 - by_error**2)))
 
 
 def task_errors(calibration: Calibration, tasks: Sequence[RobotTask]) -> list[TaskError]:

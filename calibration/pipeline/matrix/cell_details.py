@@ -137,13 +137,16 @@ def _map_of_task(error: TaskError) -> TaskMap:
 
 
 def judged_tasks(tasks: Sequence[TaskResult], findings: Sequence[Finding]) -> tuple[TaskResult, ...]:
-    """Return tasks with the state of their limits: broken by a finding or against the truth, else by what is stated."""
-    broken = {name for each in findings if each.severity == "red" for name in each.tasks}
+    """Return tasks with the state of their limits: by a finding or against the truth, else by what is stated."""
+    broken, unsure = (
+        {name for each in findings if each.severity == severity for name in each.tasks}
+        for severity in ("red", "undecided")
+    )
 
     def judged(task: TaskResult, limit: float) -> TaskResult:
         if task.name in broken or (task.truth or 0.0) > limit:
             return replace(task, state="broken")
-        return replace(task, state="undecided" if task.most > limit else "holds")
+        return replace(task, state="undecided" if task.name in unsure or task.most > limit else "holds")
 
     return tuple(each if each.limit is None else judged(each, each.limit) for each in tasks)
 

@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.diagnosis.robot_tasks import undecided_tasks
+from calibration.engine.diagnosis.robot_tasks import undecided_tasks, worst_at_tasks
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
@@ -94,3 +95,14 @@ def test_cameras_alone_are_judged_by_their_tasks_too() -> None:
         for limit in (0.5, 100.0)
     }
     assert colours == {0.5: [("red", ("aim",))], 100.0: [("note", ())]}
+
+
+def test_a_change_that_is_no_larger_than_its_error_breaks_no_task(good: Calibration) -> None:
+    """By its estimate alone it may: undecided."""
+    [error] = task_errors(good, [replace(GRASP, limit_mm=1.0)])
+    change = np.zeros(error.jacobian.shape[2])
+    change[0] = 0.01  # of the camera's mount, m
+    assert worst_at_tasks([error], [change], [0.1 * change[:, None]]).broken == ("grasp",)
+    unsure = worst_at_tasks([error], [change], [change[:, None]])
+    assert (unsure.broken, unsure.undecided) == ((), ("grasp",))
+    assert worst_at_tasks([error], [0.01 * change], [change[:, None]]).undecided == ()
