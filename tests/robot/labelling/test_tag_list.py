@@ -1,5 +1,6 @@
 """Single tags and markers, one or several in a plane: corners where the truth projects them."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -91,3 +92,19 @@ def test_a_tag_is_upright_as_apriltag_draws_it(number: int, code: int) -> None:
     assert isinstance(found, CornerLabels), found
     np.testing.assert_allclose(found.pixels, 47.5 + 192 * np.array([[0, 0], [1, 0], [1, 1], [0, 1]]), atol=0.3)
     np.testing.assert_array_equal(tag_modules(pattern)[0], official[2:-2, 2:-2])
+
+
+@pytest.mark.parametrize("margin", [4, 8, 12, 24])
+def test_a_white_margin_that_was_cut_moves_no_corner(margin: int) -> None:
+    """On something dark, as tags are that were cut out close: margins of a sixth to one module of 12 px."""
+    drawn = np.kron(255 * (tag_modules(ONE)[0] > 0), np.ones((24, 24))).astype(np.uint8)
+    page = np.pad(np.pad(drawn, margin, constant_values=255), 100 - margin, constant_values=20)
+    image = cv2.resize(cv2.GaussianBlur(page, (0, 0), 1.2), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    found = corner_detector(ONE).detect(image)
+    if margin == 4:
+        assert isinstance(found, NotDetected)
+        return
+    assert isinstance(found, CornerLabels), found
+    side = drawn.shape[0] / 2
+    expected = 49.5 + side * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    np.testing.assert_allclose(np.roll(found.pixels, -found.ids[0], axis=0), expected, atol=0.1)
