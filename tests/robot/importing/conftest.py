@@ -23,9 +23,11 @@ FOCAL = 554.256258422
 Write = Callable[..., Path]
 
 
-def camera_info(width: int = 640, height: int = 480, focal: float = FOCAL) -> dict[str, Any]:
+def camera_info(
+    width: int = 640, height: int = 480, focal: float = FOCAL, centre: tuple[float, float] = (320.5, 240.5)
+) -> dict[str, Any]:
     """The document of a camera_info file."""
-    K = [focal, 0, 320.5, 0, focal, 240.5, 0, 0, 1]
+    K = [focal, 0, centre[0], 0, focal, centre[1], 0, 0, 1]
     return {
         "image_width": width,
         "image_height": height,

@@ -1,5 +1,6 @@
 """Images that arrive: which are used, what is waited for, what goes on, and how it ends."""
 
+import json
 import os
 import shutil
 import time
@@ -14,12 +15,13 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.geometry.rotations import to_quaternion
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.pipeline.watching import WatchedRecording
 from calibration.robot.importing.watch import judging
 from calibration.robot.importing.watch.arrivals import Arrivals
 from calibration.robot.importing.watch.judging import tilt_of
-from tests.robot.importing.conftest import change
+from tests.robot.importing.conftest import DATASETS, camera_info, change
 
 BOARD = PatternConfiguration(
     "board", "charuco", "b", "w", False, (11, 8), 0.06, 0.045, (0, 0), "DICT_5X5_100"
@@ -177,3 +179,39 @@ def test_what_cannot_be_watched(stereo: Path, keys: tuple[str, ...], to: object)
 @pytest.mark.parametrize("name", ["nowhere", ".", "import.txt"])
 def test_no_description(tmp_path: Path, name: str) -> None:
     assert main(["watch", os.fspath(tmp_path / name)]) == 2
+
+
+def test_an_arm_whose_poses_arrive_with_its_images(tmp_path: Path) -> None:
+    """The samples are read again: more of them than at first."""
+    arm = read_dataset(DATASETS / "riwbot")
+    T = arm.transform("base_link", "flange")
+    keys = arm.keys[:9]
+    (tmp_path / "images").mkdir()
+    (tmp_path / "camera.yaml").write_text(json.dumps(camera_info(1200, 800, 1039.230484541, (600.5, 400.5))))
+    document = {
+        "sensors": {"rgb_world": {"parent": "base_link", "images": "images", "intrinsics": "camera.yaml"}},
+        "patterns": {
+            "board": {
+                "parent": "flange",
+                "type": "charuco",
+                "columns": 7,
+                "rows": 7,
+                "square": 0.02,
+                "marker": 0.015,
+                "dictionary": "DICT_4X4_100",
+            }
+        },
+        "samples": {"file": "samples.csv", "base": "base_link", "tool": "flange"},
+    }
+    (tmp_path / "import.yml").write_text(json.dumps(document))
+
+    def arrive(count: int) -> list[str]:
+        rows = [",".join(map(str, [*T[i, :3, 3], *to_quaternion(T[i, :3, :3])])) for i in range(count)]
+        (tmp_path / "samples.csv").write_text("\n".join(["x,y,z,qx,qy,qz,qw", *rows]))
+        for key in keys[:count]:
+            shutil.copy(DATASETS / "riwbot" / f"rgb_world_{key}.jpg", tmp_path / "images" / f"{key}.jpg")
+        return lines_of(recording)
+
+    recording = WatchedRecording(tmp_path, Limits())
+    assert "no calibration yet: " in arrive(2)[-1]
+    assert any(line.startswith("9 collections: rgb_world") for line in arrive(9))
