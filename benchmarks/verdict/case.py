@@ -36,8 +36,8 @@ BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}
 SIGMAS, LEAST = 3.0, (1.0, 0.05)
 """Where no limit is set, a result may be off by so many standard deviations of a good robot, and by mm and degrees."""
 Colour = Literal["red", "undecided", "green"]
-BORDER = 0.577
-"""Slope of the rays at the left and right border of the images of the shipped systems' cameras."""
+CORNER = 0.69
+"""Least slope of the rays at the corners of the images of the shipped systems' cameras."""
 AS_WELL = 10.0
 """Costs (squared standard deviations) that differ by less are alike: of so many tests none could tell."""
 
@@ -131,11 +131,11 @@ class Outcome:
         return self.limits > 1 and self.limits - self.clean_limits > 0.5
 
     def _displaced(self) -> bool:
-        """Whether a sensor has been moved by more than it may be off, or a lens changed by as much at its border."""
+        """Whether a sensor has been moved by more than it may be off, or a lens by as much at the image's corners."""
         planted, allowed = self.case.planted, self.case.allowed
         size = planted.sizes[self.case.size]
         if planted.unit == "share":
-            turn = np.degrees(size * BORDER / (1 + BORDER**2))
+            turn = np.degrees(size * CORNER / (1 + CORNER**2))
             return planted.displaces and allowed.rotation_deg is not None and turn > allowed.rotation_deg
         limit, moved = (allowed.rotation_deg, size) if planted.unit == "deg" else (allowed.translation_mm, 1e3 * size)
         return planted.displaces and limit is not None and moved > limit

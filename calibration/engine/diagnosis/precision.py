@@ -72,7 +72,7 @@ def precision(calibration: Calibration, limits: Limits, found: Sequence[Finding]
     wrong = [each for each in found if each.kind in ("suspect", "contradiction")]
     if any(each.severity == "red" for each in wrong):
         return ()
-    findings = []
+    findings, explained = [], any(each.severity == "undecided" for each in wrong)
     for name, sigmas in stated(calibration).items():
         limit = allowed(calibration, limits, name)
         most = (limit.translation_mm, limit.rotation_deg)
@@ -81,7 +81,7 @@ def precision(calibration: Calibration, limits: Limits, found: Sequence[Finding]
         if sigmas[unit] <= wanted:
             continue
         of_no_good_robot = max(most[unit], DEFAULT_LIMIT_SIGMAS * of_a_good_robot(calibration, name)[unit])
-        bad = not limit.set and false_accept(sigmas[unit], of_no_good_robot) > MIN_FAILURE_PROBABILITY
+        bad = not limit.set and not explained and false_accept(sigmas[unit], of_no_good_robot) > MIN_FAILURE_PROBABILITY
         remedy = (
             ADVICE_TO_MEND
             if wrong

@@ -280,11 +280,11 @@ def _sigmas_of_moves(calibration: Calibration, suspect: Suspect) -> dict[str, tu
 
 
 def _turns_by_zoom(calibration: Calibration, suspect: Suspect) -> dict[str, float]:
-    """Return by how many degrees the rays at the image's border are another one since a camera's lens was changed."""
+    """Return by how many degrees the rays at the image's corners are other ones since a camera's lens was changed."""
     if not suspect.is_change or suspect.cause.kind != "focal length":
         return {}
     sensors = [calibration.dataset.sensors[name] for name in suspect.cause.subject.split(" and ")]
-    slopes = {each.name: each.camera.width / 2 / each.camera.fx for each in sensors if each.camera}
+    slopes = {each.name: np.hypot(c.width / c.fx, c.height / c.fy) / 2 for each in sensors if (c := each.camera)}
     return {name: float(np.degrees(abs(suspect.value[0]) * slope / (1 + slope**2))) for name, slope in slopes.items()}
 
 
