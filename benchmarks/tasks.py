@@ -392,6 +392,8 @@ def _verdict(case: Case) -> tuple[str, bool, bool, bool, bool, str] | None:
     planted = BY_NAME[case.kind]
     if case.system in planted.memory or planted.spoils or planted.sizes[case.size] in planted.wanted:
         return None
+    if planted.group == "LiDAR":  # at work it errs as in the recording, which cancels, and is not simulated
+        return None
     tasks = limited(case.system, case.seed)
     scene = with_nothing_set(case.scene())
     with np.errstate(all="ignore"):
