@@ -254,7 +254,8 @@ class Repository:
         Raises:
             InputError: it cannot be fetched.
         """
-        missing = f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2 fetches it), and cannot be"
+        missing = f"the commit {shorten(commit, 40)} is not in this checkout (fetch-depth: 2, GIT_DEPTH: 2 on GitLab)"
+        missing += ", and cannot be"
         if self.origin() is None:  # git would take a folder of this name
             raise InputError(f"{missing} fetched: there is no remote 'origin'")
         options = ("--quiet", "--no-tags", "--no-recurse-submodules", "--upload-pack=git-upload-pack", "--depth=1")
@@ -437,7 +438,8 @@ def find_base(repository: Repository, named: str | None, candidates: Iterable[st
     base = None if commit is None else repository.merge_base(commit, "HEAD")
     if base is None:
         found = "no such commit is" if commit is None else "no common ancestor with HEAD is"
-        raise InputError(f"base {names[0]}: {found} in this checkout: check out the history too (fetch-depth: 0)")
+        history = "check out the history too (fetch-depth: 0, GIT_DEPTH: 0 on GitLab)"
+        raise InputError(f"base {names[0]}: {found} in this checkout: {history}")
     return base
 
 

@@ -77,7 +77,7 @@ def test_a_failed_fetch_is_reported(checkout: Path, tmp_path: Path) -> None:
     git(tmp_path, "clone", "--quiet", "--depth=1", f"file://{checkout}", "shallow")
     (tmp_path / "origin").rename(tmp_path / "gone")
     with pytest.raises(
-        InputError, match=r"is not in this checkout \(fetch-depth: 2 fetches it\), and cannot be"
+        InputError, match=r"is not in this checkout \(fetch-depth: 2, GIT_DEPTH: 2 on GitLab\), and cannot"
     ) as error:
         Repository.around(tmp_path / "shallow").fetched("a" * 40)
     assert "\n" not in str(error.value)
