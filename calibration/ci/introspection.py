@@ -128,7 +128,7 @@ def introspection_report(tables: Sequence[TableResult]) -> Report:
         if check.unlisted
     )
     return Report(
-        title=REPORT_TITLE,
+        title="Tables",
         verdict=verdict_of(not violations),
         notes=notes,
         sentence=results.sentence,

@@ -282,7 +282,7 @@ def _repeated_collection(
         outputs = found.outputs
         return repetition_of_collection(results, found, folder, time.perf_counter() - begin)
 
-    _, found = repeated(repetitions, settings.output, runner, COMMAND_NAME, once)
+    _, found = repeated(repetitions, settings.output, runner, "Repeated collection", once)
     show(replace(found, outputs={**outputs, **found.outputs}), runner, settings.output)
     return found.exit_code
 

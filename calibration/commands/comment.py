@@ -78,5 +78,5 @@ def _comment_of_run(settings: CommentSettings, comments: PullRequestComments) ->
 
 
 def _note_absence(runner: Runner, reason: str) -> ExitCode:
-    annotate(runner, [Annotation(f"no comment: {reason}", Level.NOTICE, title=COMMAND_NAME)])
+    annotate(runner, [Annotation(f"no comment: {reason}", Level.NOTICE, title="Comment")])
     return ExitCode.PASS

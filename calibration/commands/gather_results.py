@@ -18,10 +18,8 @@ from calibration.pipeline.distribution.plan import name_folders_by_slug, read_pl
 from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
 
-COMMAND_NAME = "gather-results"
 
-
-@click.command(COMMAND_NAME)
+@click.command("gather-results")
 @click.option("--needs", required=True, help="Result, seconds and error of every job, as JSON.")
 @click.option(
     "--folder", type=path, required=True, help="Folder with the artifacts of the jobs, each in a folder of its name."
@@ -45,7 +43,7 @@ def command(
     code = gathered.exit_code
     promotes = bool(gathered.plan.promote) and code == ExitCode.PASS
     cost = cost_of_run(gathered.plan, jobs, folder, _seconds_since(began), promotes=promotes)
-    found = report_of_run(gathered, cost, output, COMMAND_NAME)
+    found = report_of_run(gathered, cost, output)
     files = {**found.files, PAGE_FILE: report_page(found, gathered.results, folder)}
     outputs = {**found.outputs, "report": output / PAGE_FILE}
     publish(replace(found, files=files, outputs=outputs), Runner.from_environment(), output)

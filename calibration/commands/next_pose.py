@@ -33,5 +33,5 @@ def command(config: Path, systems: tuple[str, ...] | None, poses: int, seed: int
     advised = {
         system.name: advise_system(system, poses, seed) for system in read_configuration(config).only(systems or ())
     }
-    publish(next_poses_report("next-pose", advised), runner, output)
+    publish(next_poses_report(advised), runner, output)
     return ExitCode.PASS

@@ -52,7 +52,7 @@ def command(
     described = read_system(system_folder(system))
     limits = chosen(Limits, options) if given(Limits, options, *OF_LIMITS) else Limits()
     advised = plan(described, limits, Options(assume=ALL_EXACT if exact else Assumptions()), poses, seed)
-    report = next_poses_report("plan-recording", {described.name: advised})
+    report = next_poses_report({described.name: advised})
     files: dict[str, str | bytes] = {}
     for name, pattern in described.configuration.patterns.items() if paper else ():
         sheet = board_sheet(pattern, paper or "")

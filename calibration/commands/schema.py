@@ -23,6 +23,12 @@ SHIPPED_SCHEMAS = {
     "repeated-results": SchemaFile(
         f"{_PIPELINE_PACKAGE}.repetition", _RESULTS_FILE, "results:RepeatedResults", "repeated runs"
     ),
+    "next-poses": SchemaFile(
+        _PIPELINE_PACKAGE,
+        "next_poses.schema.json",
+        "next_poses_report:NextPosesOfSystems",
+        "next-pose and plan-recording",
+    ),
     "convergence": SchemaFile(
         _CONVERGENCE_PACKAGE, "convergence.schema.json", "convergence_map:ConvergenceResults", "convergence"
     ),

@@ -4,16 +4,26 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from calibration.base.errors import InputError
-from calibration.base.records import document_of
+from calibration.base.records import field, result
 from calibration.ci.pages.html import bullets, element, page, section
 from calibration.ci.report import Lines, Report, Table, shown
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.tasks.task_errors import task_errors
 from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.next_poses_result import NextPoses
 from calibration.pipeline.next_poses import AdvisedPoses, advise
 from calibration.pipeline.page.pose_figures import pose_figures
 from calibration.pipeline.results import PAGE_FILE
 from calibration.pipeline.system import System
+
+TITLE = "Next poses"
+
+
+@result
+class NextPosesOfSystems:
+    """Results of next-pose and plan-recording."""
+
+    systems: Mapping[str, NextPoses] = field("What to record next, by system.")
 
 
 def advise_system(system: System, count: int, seed: int) -> AdvisedPoses:
@@ -35,13 +45,8 @@ def advise_system(system: System, count: int, seed: int) -> AdvisedPoses:
     return replace(advised, found=replace(advised.found, remarks=(*wrong, *advised.found.remarks)))
 
 
-def next_poses_report(title: str, advised: Mapping[str, AdvisedPoses]) -> Report:
-    """Return the report of poses to take next, of some systems.
-
-    Args:
-        title: of the command.
-        advised: the poses, by system.
-    """
+def next_poses_report(advised: Mapping[str, AdvisedPoses]) -> Report:
+    """Return the report of poses to take next, by system."""
     alone = len(advised) == 1
     files = {
         name if alone else f"{system}-{name}": text_
@@ -66,14 +71,15 @@ def next_poses_report(title: str, advised: Mapping[str, AdvisedPoses]) -> Report
     )
     lines = tuple(line if alone else f"{name}: {line}" for name, each in advised.items() for line in each.found.lines)
     return Report(
-        title=title,
+        title=TITLE,
         verdict="pass",
+        judges=False,
         sentence="; ".join(
             each.found.sentence if alone else f"{name}: {each.found.sentence}" for name, each in advised.items()
         ),
-        results={"systems": {name: document_of(each.found) for name, each in advised.items()}},
+        results=NextPosesOfSystems({name: each.found for name, each in advised.items()}),
         suites={},
         outputs={},
         blocks=(goals, Lines(lines, title="What to record")),
-        files={**files, PAGE_FILE: page(title, [element("h1", title), *sections])},
+        files={**files, PAGE_FILE: page(TITLE, [element("h1", TITLE), *sections])},
     )

@@ -32,7 +32,7 @@ def write_results(results: PipelineResults, output: Path, stopped: str | None = 
         InfrastructureError: a file cannot be written.
     """
     write_cells(results, output, 1)
-    found = report(results, output, "calibration")
+    found = report(results, output)
     if stopped is not None:
         why = f"the run ended early: {stopped}"
         found = replace(
@@ -46,20 +46,20 @@ def write_results(results: PipelineResults, output: Path, stopped: str | None = 
     found.write(output)
 
 
-def report(results: PipelineResults, output: Path, title: str) -> Report:
+def report(results: PipelineResults, output: Path) -> Report:
     """Return the report.
 
     Args:
         results: the results.
         output: the folder of the results.
-        title: of the annotations.
     """
     left_out = tuple(report_blocks.without_result(results))
     numbers = results.summary.all
     main = report_blocks.grid(results)
+    if len(results.cells) <= len(results.systems) and not results.comparisons:  # the overview has it
+        main = replace(main, only="log")
     return Report(
-        title=title,
-        heading="Calibration",
+        title="Calibration",
         verdict=results.verdict,
         error=results.exit_code,
         sentence=report_blocks.verdict_sentence(results),
@@ -76,9 +76,9 @@ def report(results: PipelineResults, output: Path, title: str) -> Report:
             report_blocks.overview_table(results),
             report_blocks.recordings_table(results),
             main,
-            Text(_UNDER_GRID if main.rows else "", only="summary"),
+            Text(_UNDER_GRID if main.rows and main.only is None else "", only="summary"),
             *map(Text, report_blocks.origin_of_rms(results)),
-            report_blocks.truth_table(results),
+            replace(report_blocks.truth_table(results), only="log"),
             report_blocks.precision_table(results),
             report_blocks.tasks_table(results),
             Lines(tuple(report_blocks.other_methods(results)), only="summary"),

@@ -310,7 +310,7 @@ def _finished(recording: WatchedRecording, output: Path | None, overwrite: bool)
     total, used = counts.total(), counts[""]
     collections = len(found.imported.moments) if found.imported else 0
     return Report(
-        title=TITLE,
+        title="Recording",
         verdict="fail" if found.fault else "pass",
         sentence=f"{count_of(total, 'image')}, {used} used; {recording.sentence}",
         results={"images": total, "used": used, "collections": collections},

@@ -201,7 +201,7 @@ def test_a_failing_step_is_one_annotation(
     out, err = capsys.readouterr()
     annotations = [line for line in out.splitlines() if line.startswith(("::error", "::warning"))]
     headline = "image r: step 2 of 3, RUN make: exit code 2"
-    assert annotations == [f"::error file=calibration.yml,title=build-image::{headline}%0Aone%0A::warning::two"]
+    assert annotations == [f"::error file=calibration.yml,title=Image::{headline}%0Aone%0A::warning::two"]
     assert err == ""
     found = results(here / "out")
     assert (found["verdict"], found["failure"]) == ("fail", {"message": headline, "lines": ["one", "::warning::two"]})

@@ -201,4 +201,4 @@ def test_on_github_the_reason_is_an_annotation(
 ) -> None:
     monkeypatch.setenv("GITHUB_ACTIONS", "true")
     assert sweep(tmp_path, "--start", "given", "--minimum-rotation-noise", "0.5") == 1
-    assert "::error title=convergence::t2rgb, given: largest rotation noise" in capsys.readouterr().out
+    assert "::error title=Convergence::t2rgb, given: largest rotation noise" in capsys.readouterr().out

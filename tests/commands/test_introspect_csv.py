@@ -219,7 +219,7 @@ def test_results_are_written(folder: Path) -> None:
     results = json.loads((output / "results.json").read_text())
     assert (results["schema"], results["verdict"], results["violations"]) == (1, "fail", 1)
     assert parse(output / "junit.xml").getroot().attrib["failures"] == "1"
-    assert (output / "summary.md").read_text().startswith("## introspect-csv: fail: 1 violation in 2 checks")
+    assert (output / "summary.md").read_text().startswith("## Tables: fail: 1 violation in 2 checks")
 
 
 def test_the_same_input_gives_the_same_bytes(folder: Path) -> None:
@@ -270,8 +270,8 @@ def test_as_an_action(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pyt
     assert run_action("introspect-csv") == 1
     out, err = capsys.readouterr()
     assert err == ""
-    assert "::error file=t.csv,line=3,title=introspect-csv::RMS (pix), 001: found 0.9, expected at most 0.6\n" in out
-    assert "::error file=t.csv,line=4,title=introspect-csv::RMS (pix), Averages: found 0.7, expected at most 0.6" in out
+    assert "::error file=t.csv,line=3,title=Tables::RMS (pix), 001: found 0.9, expected at most 0.6\n" in out
+    assert "::error file=t.csv,line=4,title=Tables::RMS (pix), Averages: found 0.7, expected at most 0.6" in out
     assert (folder / "summary").read_text() == (folder / "out" / "summary.md").read_text()
     outputs = dict(line.split("=", 1) for line in (folder / "outputs").read_text().splitlines())
     assert (outputs["verdict"], outputs["violations"], outputs["results"]) == ("fail", "2", "out/results.json")

@@ -144,4 +144,4 @@ def test_on_github_a_broken_rule_is_annotated_at_its_line(
     assert main(["run", "--only", "calibrate,introspect"]) == 1
     lines = (repository / "calibration.yml").read_text().splitlines()
     [at] = [i for i, line in enumerate(lines, 1) if "max: 0.001" in line]
-    assert f"::error file=calibration.yml,line={at},title=calibration run::" in capsys.readouterr().out
+    assert f"::error file=calibration.yml,line={at},title=Calibration::" in capsys.readouterr().out

@@ -75,7 +75,7 @@ def test_the_life_of_an_accepted_calibration(caller: Caller, api: GitHub, tmp_pa
     commit(folder)
     knocked = pull_request(caller, base, tmp_path, *with_api)
     assert knocked.code == 1
-    [said] = [line for line in knocked.annotations if line.startswith("::error title=gather-results::")]
+    [said] = [line for line in knocked.annotations if line.startswith("::error title=Calibration::")]
     assert "right_camera has moved since calibration-baseline.json of 20" in said
     assert "mm along its x" in said
     assert knocked.tables["Since the baseline"][1][0] == "robot: right\\_camera"

@@ -55,7 +55,7 @@ def run(path: Path, output: Path, *stages: str) -> tuple[PipelineResults, str]:
 
 
 def told(results: PipelineResults) -> Report:
-    return report(results, Path("out"), "calibration")
+    return report(results, Path("out"))
 
 
 def test_collected_datasets_are_in_the_results(configured: Configured, tmp_path: Path) -> None:

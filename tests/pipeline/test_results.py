@@ -42,7 +42,7 @@ BROKEN = replace(FAILED, seed=2, reasons=("no labels | <b>",), error=ExitCode.BA
 
 
 def told(results: PipelineResults) -> Report:
-    return report(results, Path("out"), "calibration")
+    return report(results, Path("out"))
 
 
 def test_real_results_follow_their_schema_and_read_back(tmp_path: Path) -> None:
@@ -201,7 +201,8 @@ def test_errors_are_reported_with_standard_deviations(tmp_path: Path) -> None:
     results = PipelineResults((known, worse, software, unknown))
 
     assert truth_table(results).rows == (("robot", "0.5 mm, 0.03 deg", "0.6 mm, 0.01 deg, joints 0.2 mm"),)
-    assert "| robot | 0.5 mm, 0.03 deg | 0.6 mm, 0.01 deg, joints 0.2 mm |" in told(results).markdown()
+    assert "0.6 mm, 0.01 deg, joints 0.2 mm" in told(results).log()
+    assert "± 0.6 mm, 0.01 deg, joints 0.2 mm | 0.5 mm, 0.03 deg" in told(results).markdown()
     assert "Standard deviation" not in told(PipelineResults((software, unknown))).markdown()
     write_results(results, tmp_path)
     document = json.loads((tmp_path / "results.json").read_text())

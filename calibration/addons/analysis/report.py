@@ -38,7 +38,7 @@ def report(results: AnalysisResults, sarif: str, graph: RosGraph | None, root: P
     """
     categories = Counter((finding.category, finding.severity) for finding in results.findings)
     return Report(
-        title=TITLE,
+        title="Static analysis",
         verdict=verdict_of(not results.problems),
         sentence=_verdict_sentence(results),
         reasons=tuple(results.problems),

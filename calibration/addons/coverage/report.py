@@ -41,7 +41,7 @@ def report(results: CoverageResults, directory: Path = Path(), badge: Path | Non
     not_passed = f"{len(below)} of {len(rows)} files are below the goal of {results.goal:g} %"
     verdict = verdict_of(not results.problems)
     return Report(
-        title=TITLE,
+        title="Coverage of the tests",
         verdict=verdict,
         error=ExitCode.INFRASTRUCTURE
         if verdict == "pass" and (results.upload.state == "failed" or results.undecided)

@@ -43,6 +43,7 @@ ADDON = Addon(
     },
     schemas={
         "verify-results": SchemaFile(__name__, "results.schema.json", "results:VerifyResults", "verify"),
+        "fleet-results": SchemaFile(__name__, "fleet.schema.json", "fleet:FleetResults", "fleet"),
         "bundle-manifest": SchemaFile(__name__, "manifest.schema.json", "manifest:Manifest"),
     },
 )

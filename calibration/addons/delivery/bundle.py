@@ -119,7 +119,7 @@ def masked_signing_key(context: click.Context, signing_key: str | None, runner: 
 
 
 def _show(found: BundleResults, output: Path, runner: Runner) -> None:
-    annotate(runner, [Annotation(warning, Level.WARNING, title=TITLE) for warning in found.warnings])
+    annotate(runner, [Annotation(warning, Level.WARNING, title="Bundle") for warning in found.warnings])
     set_outputs(
         runner,
         {

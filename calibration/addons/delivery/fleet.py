@@ -233,7 +233,7 @@ def _report(found: FleetResults) -> Report:
         *(section(each.title, html_table(each.columns, each.rows)) for each in tables),
     ]
     return Report(
-        title=TITLE,
+        title="Fleet",
         verdict=verdict,
         sentence=sentence,
         reasons=reasons,

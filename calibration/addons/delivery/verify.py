@@ -193,7 +193,7 @@ def _report(bundle: str, checked: CheckedBundle, compared: ComparedWithUse, expe
     )
     refused = f"{'refused' if reasons else 'accepted'}, {results.compared} transforms and cameras compared"
     return Report(
-        title=TITLE,
+        title="Verification",
         verdict=verdict_of(not reasons),
         sentence=refused if manifest is None else f"{manifest.name} {manifest.version} {refused}",
         reasons=reasons,

@@ -26,7 +26,7 @@ def report(results: ImageTestsResults, last_runs: Mapping[str, Sequence[JudgedRu
     errors = [each.error for each in results.tests if each.error is not None]
     reasons = tuple(results.reasons)
     return Report(
-        title=TITLE,
+        title="Tests in the image",
         verdict=verdict_of(not reasons and not errors),
         error=max(errors, default=None),
         sentence=_sentence(results),

@@ -25,7 +25,7 @@ def report(results: MessageResults, requirements: Sequence[Requirement], config:
     lines = [_line_of_requirement(each, config) for each in requirements]
     judged = list(zip(results.requirements, lines, strict=True))
     return Report(
-        title=TITLE,
+        title="Requirements over messages",
         verdict=verdict_of(not results.not_met),
         sentence=results.sentence,
         reasons=results.reasons,

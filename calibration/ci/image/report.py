@@ -58,7 +58,7 @@ def report(result: BuildResult, source: Path, runner: Runner) -> Report:
     lines = failure.lines if failure else ()
     annotated = "\n".join((*result.reasons, *(lines if runner.service.annotates_lines else ())))
     return Report(
-        title=REPORT_TITLE,
+        title="Image",
         verdict=verdict_of(failure is None),
         sentence=_result_sentence(result),
         results=result,

@@ -45,9 +45,7 @@ class Report:
     """Results of a command, complete and independent of where they are written."""
 
     title: str
-    """Title of annotations, and heading of the summary: ``introspect-csv``."""
-    heading: str = ""
-    """Heading of the summary, if another."""
+    """Heading of the summary, and title of annotations, in the user's words: ``Static analysis``."""
     verdict: Verdict
     sentence: str
     """Text after the verdict in the last line: ``2 violations in 4 checks of 1 table``."""
@@ -63,6 +61,8 @@ class Report:
     """Undecided limits, one line each: listed after the reasons, and annotated as warnings."""
     about: str = ""
     """What the results are of, in one line below the verdict: the commit and its date."""
+    judges: bool = True
+    """Whether the verdict says something, so that it is shown."""
     error: ExitCode | None = None
     """Exit code if it differs from that of the verdict: 0 for pass, else 1."""
     warnings: tuple[str, ...] = ()
@@ -113,8 +113,8 @@ class Report:
 
     @property
     def line(self) -> str:
-        """The verdict in one line."""
-        return f"{self.verdict}: {self.sentence}"
+        """The verdict, if there is one to tell, in one line."""
+        return f"{self.verdict}: {self.sentence}" if self.judges else self.sentence
 
     def log(self) -> str:
         """Return the text of the log above the verdict."""
@@ -126,7 +126,7 @@ class Report:
 
     def markdown(self) -> str:
         """Return the summary: the verdict, its reasons, then the blocks."""
-        parts = [f"## {escape_markdown(self.heading or self.title)}: {escape_markdown(self.line)}\n"]
+        parts = [f"## {escape_markdown(self.title)}: {escape_markdown(self.line)}\n"]
         if self.about:
             parts.append(f"{escape_markdown(self.about)}\n")
         if self.all_reasons:

@@ -34,7 +34,7 @@ def report(results: CollectionResults, output: Path) -> Report:
     lines = tuple(map(lost_line, results.lost))
     sheet = results.contact_sheet
     return Report(
-        title=COMMAND_NAME,
+        title="Collection in simulation",
         verdict=results.verdict,
         error=results.exit_code,
         sentence=f"{results.system}: {kept} of {len(results.records)} collections kept, {_calibration_text(results)}",

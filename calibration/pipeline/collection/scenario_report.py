@@ -10,7 +10,6 @@ from typing import Any
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
-from calibration.pipeline.collection.report import COMMAND_NAME
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.statistics import (
@@ -56,7 +55,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
     worst = [result.id for result in statistics.worst(WORST_SHOWN)]
     passed = len(statistics.results) - len(results.failed)
     return Report(
-        title=COMMAND_NAME,
+        title="Scenarios in simulation",
         verdict=results.verdict,
         error=results.exit_code,
         sentence=f"{passed} of {results.title} pass",

@@ -128,7 +128,7 @@ def report(results: ConvergenceResults, output: Path, source: str = "--config ca
     largest = results.largest
     translation, rotation = largest.diagonal or (None, None)
     return Report(
-        title=COMMAND_NAME,
+        title="Convergence",
         verdict=results.verdict,
         error=results.exit_code,
         sentence=_convergence_sentence(results),

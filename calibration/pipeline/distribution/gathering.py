@@ -134,16 +134,15 @@ def _reasons_of_job(job: str, needs: Needs, folder: Path) -> tuple[str, ...]:
     return (f"the job {job} {what}: see its log",)
 
 
-def report_of_run(gathered: Gathered, cost: Cost, output: Path, title: str) -> Report:
+def report_of_run(gathered: Gathered, cost: Cost, output: Path) -> Report:
     """Return the report of a whole run: its verdict covers all jobs, not only the results.
 
     Args:
         gathered: results of the jobs.
         cost: of the run.
         output: the folder of the results.
-        title: of the report and its annotations.
     """
-    report_of_cells = report(gathered.results, Path(), title)  # files are in the artifacts of the jobs, by their slugs
+    report_of_cells = report(gathered.results, Path())  # files are in the artifacts of the jobs, by their slugs
     others = [f"{job} {result}" for job, result in gathered.jobs.items() if result != JOB_SUCCESS]
     judged = [report_of_cells.sentence] if gathered.results.has_verdict else []
     verdict = gathered.verdict

@@ -59,7 +59,7 @@ def repeat_stages(run: PipelineRun, stages: Collection[str], settings: Repetitio
         )
 
     passes = all(system.undecided == "pass" for system in run.matrix.systems)
-    whole, found = repeated(settings, run.output, run.runner, run.title, once, passes)
+    whole, found = repeated(settings, run.output, run.runner, "Repeated calibration", once, passes)
     for name, stage in STAGES.items():
         if whole.passes and name in AFTER_ALL and name in stages and stage.applies(run):
             last = import_attribute(stage.target)(last)

@@ -162,7 +162,7 @@ def _run_stages(run: PipelineRun, stages: Collection[str]) -> tuple[PipelineRun,
                 run = import_attribute(stage.target)(run)
                 run = replace(run, seconds={**run.seconds, name: time.perf_counter() - begin})
         write_cells(run.results, run.output, run.jobs)
-        found = report(run.results, run.output, run.title)
+        found = report(run.results, run.output)
         files = {**found.files, PAGE_FILE: _page_of_run(found, run)}
     except BaseException as error:  # signals too: the results of earlier stages are kept for another run
         # results of an earlier run are not replaced if only an image was built

@@ -115,7 +115,7 @@ def report(results: ImportResults, folder: Path) -> Report:
     estimated = {name: each.lens for name, each in results.sensors.items() if each.intrinsics == "estimated"}
     rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
     return Report(
-        title=IMPORT_TITLE,
+        title="Import",
         verdict="pass",
         sentence=f"{count_of(results.collections, 'collection')} of {count_of(results.found, 'moment')} in {folder}",
         results=results,
@@ -155,7 +155,7 @@ def label_report(results: LabelResults, folder: Path) -> Report:
     rows = tuple((name, str(each.images), str(each.labelled)) for name, each in results.sensors.items())
     rejected = tuple((name, view.file, view.reason) for name, each in results.sensors.items() for view in each.rejected)
     return Report(
-        title=LABEL_TITLE,
+        title="Labels",
         verdict="pass",
         sentence=f"{sum(each.labelled for each in results.sensors.values())} images labelled in {folder}",
         results=results,

@@ -103,7 +103,7 @@ def test_a_report_is_uploaded(server: projects.Codacy, root: Path, capsys: pytes
     jsonschema.validate(results, SCHEMA)
     assert results["commit"] == head
     assert results["upload"] == {"service": "codacy", "state": "uploaded", "reason": ""}
-    assert Path("out/summary.md").read_text().startswith("## coverage-upload: pass")
+    assert Path("out/summary.md").read_text().startswith("## Coverage of the tests: pass")
     assert parse("out/junit.xml").getroot().get("failures") == "0"
     assert "coverage: 66%" in Path("out/badge.svg").read_text()
     assert all(TOKEN not in file.read_text() for file in Path("out").iterdir())
@@ -255,7 +255,7 @@ def test_on_github(
         "summary": "",
         "badge": "badge.svg",
     }
-    assert (tmp_path / "step.md").read_text().startswith("## coverage-upload: pass")
+    assert (tmp_path / "step.md").read_text().startswith("## Coverage of the tests: pass")
 
 
 FORK = {
@@ -283,7 +283,7 @@ def test_skipped_where_there_can_be_no_token(
 ) -> None:
     on_github(name, body, GITHUB_SHA="d" * 40, GITHUB_ACTOR=actor, CODACY_PROJECT_TOKEN="")  # a missing secret is empty
     assert upload(*arguments) == 0
-    assert f"::notice title=coverage-upload::not uploaded: {reason}" in capsys.readouterr().out
+    assert f"::notice title=Coverage of the tests::not uploaded: {reason}" in capsys.readouterr().out
     assert "uploaded=skipped" in (tmp_path / "outputs").read_text()
     assert upload("--final", *arguments, reports=None) == 0
     assert capsys.readouterr().out.splitlines()[-1].startswith(f"skipped: {reason}")

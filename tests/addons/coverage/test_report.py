@@ -199,7 +199,7 @@ def test_tests_that_run_nothing_are_suspicious() -> None:
 
 def test_the_summary() -> None:
     text = report(FULL).markdown()
-    assert text.startswith("## coverage-upload: fail: the tests failed: exit code 1")
+    assert text.startswith("## Coverage of the tests: fail: the tests failed: exit code 1")
     assert "| tests | 3 passed | 5 run, 1 skipped |\n" in text
     assert "| lines of the change | 25.0 % | 1 of 4 |\n" in text
     assert "| functions of the change | 50.0 % | 1 of 2 |\n" in text

@@ -50,7 +50,7 @@ def test_what_the_tests_found_is_in_the_verdict_of_the_run(tmp_path: Path) -> No
         write_results(PipelineResults(of_stages=StageResults(tests=found)), tmp_path / JOB)
         outcome = "success" if found is GREEN else "failure"
         gathered = gather(replace(NEEDS, results={"plan": "success", JOB: outcome}), PLAN, tmp_path)
-        report = report_of_run(gathered, Cost(()), tmp_path / "output", "gather-results")
+        report = report_of_run(gathered, Cost(()), tmp_path / "output")
         assert (report.exit_code, report.reasons) == (code, found.reasons)
         assert found.sentence in report.sentence
         assert f"Tests in the image: {JOB}/tests/summary.md" in report.markdown()

@@ -39,7 +39,7 @@ def test_outputs_name_every_tag_once() -> None:
 
 def test_a_failure_without_lines_and_hostile_text() -> None:
     found = make(failure=Failure("image r: step 1 of 1, RUN <b>|`x`: exit code 1", ()))
-    assert found.markdown() == "## build-image: fail: image r: step 1 of 1, RUN &lt;b&gt;&#124;\\`x\\`: exit code 1\n"
+    assert found.markdown() == "## Image: fail: image r: step 1 of 1, RUN &lt;b&gt;&#124;\\`x\\`: exit code 1\n"
     assert (found.exit_code, found.document["reasons"]) == (1, ["image r: step 1 of 1, RUN <b>|`x`: exit code 1"])
 
 

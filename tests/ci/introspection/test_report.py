@@ -80,7 +80,7 @@ def test_log_lines_cannot_be_broken(hostile: TableResult) -> None:
 
 def test_markdown(red: TableResult, hostile: TableResult) -> None:
     text = introspection_report([red]).markdown()
-    assert text.startswith("## introspect-csv: fail: 2 violations in 6 checks of 1 table\n")
+    assert text.startswith("## Tables: fail: 2 violations in 6 checks of 1 table\n")
     assert "| results.csv | 3 | RMS (pix) | 001 | 0.9 | at most 0.8 |\n" in text
     for line in introspection_report([hostile]).markdown().split("\n"):
         if line.startswith("|"):

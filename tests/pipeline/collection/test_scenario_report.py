@@ -54,7 +54,7 @@ def test_the_report_is_complete() -> None:
     errors = [0.2 + 0.1 * (i % 7) + 0.001 * i for i in range(40)]
     text = told(many([*errors[:-1], None])).markdown()
     assert text.startswith(
-        "## collect-data-sim: fail: 39 of 40 scenarios of &lt;b&gt;t2rgb&lt;/b&gt; pass\n\n- success"
+        "## Scenarios in simulation: fail: 39 of 40 scenarios of &lt;b&gt;t2rgb&lt;/b&gt; pass\n\n- success"
     )
     assert "39 of 40 scenarios calibrate; 440 of 480 poses gave a collection." in text
     assert "| Translation error (mm) | 0.2 |" in text

@@ -141,7 +141,7 @@ def test_the_table_has_a_row_for_each_pair_and_rules_apply_to_it(tmp_path: Path)
 def test_the_summary_shows_maps_and_escapes_names() -> None:
     assert map_table(LOST).rows == (("0 m", "100", "100"), ("0.5 m", "100", "0"), ("1 m", "50", "50"))
     text = told(results(LOST, NOTHING)).markdown()
-    assert text.startswith("## convergence: fail: the start without noise does not converge")
+    assert text.startswith("## Convergence: fail: the start without noise does not converge")
     assert "| 0.5 m | 100 | 0 |" in text
     assert "<b>" not in text
     noise = "--translation-noise 0.5 --rotation-noise 1.5 --seed-list 1 --start given"

@@ -200,7 +200,7 @@ def test_a_failed_job_beside_good_cells(
     assert gather(monkeypatch, {"calibrate": "success", "unit-tests": "failure"}, planned) == 1
     assert outputs(Path("gathered"))["verdict"] == "fail"
     out, summary = capsys.readouterr().out, Path("summary.md").read_text()
-    assert "::error title=gather-results::the job unit-tests failed: see its log" in out
+    assert "::error title=Calibration::the job unit-tests failed: see its log" in out
     assert "| unit-tests | failure |" in summary
     assert summary.startswith("## Calibration: fail: 2 cells calibrated; ")  # the verdict is that of everything
     assert out.splitlines()[-1].startswith("fail: ")

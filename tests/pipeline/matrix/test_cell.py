@@ -44,7 +44,7 @@ NOISES = NoiseGrid()
 
 
 def told(results: PipelineResults) -> Report:
-    return report(results, Path("out"), "calibration")
+    return report(results, Path("out"))
 
 
 def test_joints_are_reported_with_their_sigmas() -> None:

@@ -90,7 +90,7 @@ def report(results: LookResults, folder: Path | None) -> Report:
         for name, each in results.topics.items()
     )
     return Report(
-        title=LOOK_TITLE,
+        title="Recording",
         verdict=verdict_of(not needed),
         sentence=f"{count_of(len(needed), 'thing')} missing for a calibration in {results.recording}"
         if needed
