@@ -8,11 +8,13 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from calibration.base.verdict import worst_verdict
 from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.baseline.quality import SameData
-from calibration.engine.baseline.verdict import exceeds
+from calibration.engine.baseline.verdict import exceeds, size_of_change
 from calibration.engine.diagnosis.finding import Severity
 from calibration.engine.evaluation.specification import FILES_WITHOUT_RMS
 from calibration.pipeline.matrix.cell_result import (
@@ -32,6 +34,7 @@ MAX_COLUMNS_IN_LOG = 3
 PARAMETERS_SHOWN = 200
 TRANSFORMS_SHOWN = 30
 CAUSES_SHOWN = 3
+SENSORS_IN_OVERVIEW = 3
 
 
 def cells_table(results: PipelineResults) -> Table:
@@ -54,26 +57,42 @@ def cells_table(results: PipelineResults) -> Table:
 
 
 def overview_table(results: PipelineResults) -> Table:
-    """Return a row for each system: verdict, worst error bar, errors of its cells, its tasks, and what has changed."""
+    """Return a row for each system: verdict, error bars, errors of its cells, its tasks, and what has changed."""
     rows = []
     for system in results.systems:
         cells = [cell for cell in results.cells if cell.system == system]
         verdict = worst_verdict(cell.verdict for cell in cells)
-        sigmas = _largest_deviations([cell.sigma for cell in cells if cell.sigma])
         rms = [cell.rms_px for cell in cells if cell.rms_px is not None]
         row = (
             verdict if verdict == "pass" else verdict.upper(),
-            f"± {', '.join(sigmas)}" if sigmas else "",
+            _error_bars_in_brief(results, system),
             ", ".join(_largest_deviations([cell.truth for cell in cells if cell.truth])),
             f"{max(rms):.3g} px" if rms else "",
             _tasks_in_brief(results, system),
             _changes_in_brief(results, system),
         )
         rows.append((system, *row))
-    header = ("Robot", "Verdict", "Error bar", "Against the truth", "RMS", "Tasks", "Since accepted")
+    header = ("Robot", "Verdict", "Error bars", "Against the truth", "RMS", "Tasks", "Since accepted")
     filled = [n for n, column in enumerate(zip(*rows, strict=True)) if any(column)]
     shown_rows = tuple(tuple(row[n] or "-" for n in filled) for row in rows)
     return Table(tuple(header[n] for n in filled), shown_rows, TRANSFORMS_SHOWN, brief=True, only="summary")
+
+
+def _error_bars_in_brief(results: PipelineResults, system: str) -> str:
+    """Describe the standard deviations of each sensor, worst first: "lidar3d ± 1.9 mm, 0.07 deg"; else the largest."""
+    details = _best_details(results).get(system)
+    poses = details.snapshot.poses if details and details.snapshot else ()
+    sigmas = {each.name: np.sqrt(np.diag(each.covariance)) for each in poses if each.covariance is not None}
+    sizes = {
+        name: (1e3 * float(np.linalg.norm(s[:3])), math.degrees(np.linalg.norm(s[3:]))) for name, s in sigmas.items()
+    }
+    worst = sorted(sizes, key=lambda name: -sizes[name][0])
+    texts = [f"{name} ± {sizes[name][0]:.2g} mm, {sizes[name][1]:.2g} deg" for name in worst[:SENSORS_IN_OVERVIEW]]
+    texts += [f"{count_of(len(worst) - SENSORS_IN_OVERVIEW, 'better one')}"] * (len(worst) > SENSORS_IN_OVERVIEW)
+    largest = _largest_deviations([cell.sigma for cell in results.cells if cell.system == system and cell.sigma])
+    if texts:
+        return "; ".join((*texts, *largest[2:]))
+    return f"± {', '.join(largest)}" if largest else ""
 
 
 def _tasks_in_brief(results: PipelineResults, system: str) -> str:
@@ -90,7 +109,11 @@ def _changes_in_brief(results: PipelineResults, system: str) -> str:
     if details is None or not details.changes:
         return ""
     changed = [each for each in details.changes if exceeds(each, SameData())]
-    return count_of(len(changed), "change") if changed else "unchanged"
+    if not changed:
+        return "unchanged"
+    most = max(changed, key=lambda change: change.sigmas or 0.0)
+    more = f", and {count_of(len(changed) - 1, 'more change')}" if len(changed) > 1 else ""
+    return f"{most.name} {size_of_change(most)}{more}"
 
 
 def grid(results: PipelineResults) -> Table:
@@ -320,7 +343,7 @@ def cameras_table(results: PipelineResults) -> Table:
     """Return a row for each camera with calibrated intrinsics, of each system's best cell."""
     rows = []
     for system, details in _best_details(results).items():
-        for camera in details.projection:
+        for camera in (each for each in details.projection if each.given is None):
             parameters = {row.parameter: row for row in details.intrinsics if row.name == camera.camera}
             focal, centre = (
                 ", ".join(

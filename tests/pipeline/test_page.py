@@ -149,9 +149,9 @@ def test_its_head_says_what_passes_how_sure_it_is_and_what_changed(report: Path,
     page.goto(report.as_uri())
     assert "red fails; lidar is undecided." in page.locator(".banner.fail").inner_text()
     rows = [row.split("\t") for row in page.locator("table").first.inner_text().splitlines()]
-    assert rows[0][:3] == ["Robot", "Verdict", "Error bar"]
+    assert rows[0][:3] == ["Robot", "Verdict", "Error bars"]
     assert [row[:2] for row in rows[1:]] == [["cameras", "pass"], ["lidar", "UNDECIDED"], ["red", "FAIL"]]
-    assert all(re.match(r"±\s[\d.]+\smm, [\d.]+\sdeg", row[2]) for row in rows[1:])
+    assert all(re.match(r"\w+\s±\s[\d.]+\smm,\s[\d.]+\sdeg", row[2]) for row in rows[1:])  # worst sensor first
     colours = [
         page.locator(f"table td.{verdict}").first.evaluate("cell => getComputedStyle(cell).color")
         for verdict in ("undecided", "fail")

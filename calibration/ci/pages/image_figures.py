@@ -1,8 +1,7 @@
 """Figures over a camera's image: a map of cells, residuals as vectors, and the image with its labels."""
 
-import math
 from base64 import b64encode
-from bisect import bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -18,58 +17,58 @@ COLOUR_STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 """px: values at which the colour becomes stronger."""
 
 
-def image_map(title: str, size: tuple[int, int], values: Array) -> Html:
-    """Return the figure.
+CORNER_STEPS = (1, 2, 5, 10, 20, 50, 100, 200)
+"""Numbers of corners from which the colour becomes stronger."""
+
+
+def image_map(
+    title: str, size: tuple[int, int], values: Array, unit: str = "px", steps: Sequence[float] = COLOUR_STEPS
+) -> Html:
+    """Return the figure: a cell is the stronger, the larger its value, by the scale below.
 
     Args:
         title: title of the figure.
         size: width and height of the image, px.
-        values: (R, C), of the cells, px; NaN where there is none.
+        values: (R, C), of the cells; NaN where there is none.
+        unit: of the values.
+        steps: values at which the colour becomes stronger.
     """
     rows, columns = values.shape
     high = size[1] * FIGURE_WIDTH / size[0]
-    across, down = FIGURE_WIDTH / columns, high / rows
-    cells = []
-    for (r, c), value in np.ndenumerate(values):
-        if math.isfinite(value):
-            u, v = (c + 0.5) * size[0] / columns, (r + 0.5) * size[1] / rows
-            name = element("title", f"({u:.0f}, {v:.0f}): {value:.2g} px")
-            box = {"x": c * across, "y": r * down, "width": across + 0.3, "height": down + 0.3}
-            steps = bisect_right(COLOUR_STEPS, float(value))
-            cells.append(element("rect", name, **box, class_="heat", fill_opacity=_opacity_above(steps)))
+    level = np.where(np.isfinite(values), np.searchsorted(steps, values, side="right"), -1)
+    scaled = f"scale({FIGURE_WIDTH / columns:.6g} {high / rows:.6g})"
+    drawn = []
+    for n in range(len(steps) + 1):  # one path of each colour, in units of cells, so that a map is a few kilobytes
+        boxes = "".join(f"M{c} {r}h1v1h-1z" for r, c in np.argwhere(level == n))
+        if boxes:
+            drawn.append(element("path", d=boxes, transform=scaled, class_="heat", fill_opacity=_opacity(n, steps)))
     frame = element("rect", x=0.5, y=0.5, width=FIGURE_WIDTH - 1, height=high - 1, class_="frame")
-    step = FIGURE_WIDTH / (len(COLOUR_STEPS) + 1)
+    step, below = FIGURE_WIDTH / (len(steps) + 1), high + 8 + SCALE_HEIGHT + 14
     scale = [
         element(
             "rect",
-            x=i * step,
+            x=n * step,
             y=high + 8,
             width=step,
             height=SCALE_HEIGHT,
             class_="heat",
-            fill_opacity=_opacity_above(i),
+            fill_opacity=_opacity(n, steps),
         )
-        for i in range(len(COLOUR_STEPS) + 1)
+        for n in range(len(steps) + 1)
     ]
-    numbers = [
-        text(
-            (i + 1) * step,
-            high + 8 + SCALE_HEIGHT + 14,
-            f"{edge:g}{' px' if i == len(COLOUR_STEPS) - 1 else ''}",
-            class_="small",
-        )
-        for i, edge in enumerate(COLOUR_STEPS)
-    ]
+    texts = [f"{edge:g}" for edge in steps]
+    texts[-1] += f" {unit}"
+    numbers = [text((n + 1) * step, below, each, class_="small") for n, each in enumerate(texts)]
     finite = values[np.isfinite(values)]
-    most = f": at most {finite.max():.2g} px" if len(finite) else ""
+    most = f": at most {finite.max():.2g} {unit}" if len(finite) else ""
     return drawing(
-        FIGURE_WIDTH, high + 8 + SCALE_HEIGHT + NUMBERS_HEIGHT, f"{title}{most}", *cells, frame, *scale, *numbers
+        FIGURE_WIDTH, high + 8 + SCALE_HEIGHT + NUMBERS_HEIGHT, f"{title}{most}", *drawn, frame, *scale, *numbers
     )
 
 
-def _opacity_above(steps: int) -> float:
+def _opacity(above: int, steps: Sequence[float]) -> float:
     """Return the opacity of the colour of values above this number of steps."""
-    return round(0.05 + 0.95 * steps / len(COLOUR_STEPS), 3)
+    return round(0.05 + 0.95 * above / len(steps), 3)
 
 
 MOST_VECTORS = 3000

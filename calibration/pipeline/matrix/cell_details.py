@@ -18,7 +18,8 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.precision import worst_false_accept
 from calibration.engine.diagnosis.robot_tasks import place_in_words
-from calibration.engine.estimation.covariance.projection import projection_of
+from calibration.engine.estimation.covariance.lens_errors import LensSource
+from calibration.engine.estimation.covariance.projection import Projection, given_lens, projection_of
 from calibration.engine.estimation.covariance.result import CalibratedJoint, CalibratedLag, Calibration
 from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
 from calibration.engine.evaluation.truth import with_true_values
@@ -162,11 +163,27 @@ def _rounded(value: float) -> float:
 
 
 def _projection_results(calibration: Calibration) -> tuple[ProjectionResult, ...]:
-    return tuple(_projection_result(calibration, name) for name in calibration.intrinsics)
+    return tuple(
+        _projection_result(name, projection_of(calibration, name), camera.covariance)
+        for name, camera in calibration.intrinsics.items()
+    )
 
 
-def _projection_result(calibration: Calibration, name: str) -> ProjectionResult:
-    found, covariance = projection_of(calibration, name), calibration.intrinsics[name].covariance
+def given_projections(calibration: Calibration) -> tuple[ProjectionResult, ...]:
+    """Return the projections of cameras whose intrinsics are given, and have seen a pattern."""
+    found = []
+    for name in dict.fromkeys(group.sensor for group in calibration.solution.setup.problem.groups):
+        camera, lens = calibration.dataset.sensors[name].camera, given_lens(calibration, name)
+        if camera is not None and lens is not None:
+            at = tuple(camera.parameters.index(parameter) for parameter in lens.parameters)
+            projection = projection_of(calibration, name, at)
+            found.append(_projection_result(name, projection, lens.root @ lens.root.T, lens.source))
+    return tuple(found)
+
+
+def _projection_result(
+    name: str, found: Projection, covariance: Array, given: LensSource | None = None
+) -> ProjectionResult:
     near, far = found.sigmas(covariance, found.distance), found.sigmas(covariance)
 
     def seen(values: Array, of: Callable[[Array], float]) -> float:
@@ -190,6 +207,7 @@ def _projection_result(calibration: Calibration, name: str) -> ProjectionResult:
         columns=near.shape[1],
         near_px=cells(near),
         far_px=cells(far),
+        given=given,
     )
 
 

@@ -12,6 +12,7 @@ from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.error_bars import SourceKind
+from calibration.engine.estimation.covariance.lens_errors import LensSource
 from calibration.engine.estimation.covariance.result import DroppedView, RejectedLabel
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Loss, Start
@@ -122,7 +123,7 @@ class TransformResult:
 
 @result
 class ProjectionResult:
-    """Standard deviation of the projection of a calibrated camera, in its worst direction, over its image."""
+    """Standard deviation of the projection of a camera, in its worst direction, over its image."""
 
     camera: str = field("The camera.")
     model: str = field("Its lens model.")
@@ -140,6 +141,11 @@ class ProjectionResult:
         "Of each cell, row by row, for points at the pattern's distance; 0 where the lens has no ray.", unit="px"
     )
     far_px: tuple[float, ...] = field("The same for points far away.", unit="px")
+    given: LensSource | None = field(
+        "By what intrinsics that are given are uncertain: nominal (a usual calibration), assume, their covariance or "
+        "standard-deviations; null for calibrated ones.",
+        default=None,
+    )
 
 
 @result
@@ -214,7 +220,7 @@ class Details:
         default=(),
     )
     projection: tuple[ProjectionResult, ...] = field(
-        "In the cell's own results: how sure calibrated intrinsics are, in the image.", default=()
+        "In the cell's own results: how sure intrinsics are, in the image.", default=()
     )
     iterations: int | None = field("Of the solver.", default=None)
     cost: float | None = field("Half the weighted sum of squares.", default=None)

@@ -28,7 +28,13 @@ from calibration.engine.evaluation.label_errors import reprojection
 from calibration.engine.evaluation.table import RMS_PIX, Table
 from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.tasks.task_errors import task_errors
-from calibration.pipeline.matrix.cell_details import described, documents_of_tasks, finite_deviation, judged_tasks
+from calibration.pipeline.matrix.cell_details import (
+    described,
+    documents_of_tasks,
+    finite_deviation,
+    given_projections,
+    judged_tasks,
+)
 from calibration.pipeline.matrix.cell_result import (
     REPROJECTION_FILE,
     Cell,
@@ -153,8 +159,17 @@ def _diagnose_and_evaluate(cell: Cell, system: LoadedSystem, calibration: Calibr
     made = _evaluate_dataset(result, calibration.dataset, system, calibration)
     if made.result.error is not None:
         return made
-    made = _with_next_poses(made, calibration, system)
+    made = _with_next_poses(_with_given_projections(made, calibration), calibration, system)
     return replace(made, result=_compare_with_accepted(made.result, calibration, system))
+
+
+def _with_given_projections(made: Evaluated, calibration: Calibration) -> Evaluated:
+    """Return the result with how sure the projection of cameras is whose intrinsics are given."""
+    details = made.result.details
+    if details is None or not calibration.converged:
+        return made
+    details = replace(details, projection=(*details.projection, *given_projections(calibration)))
+    return replace(made, result=replace(made.result, details=details))
 
 
 def _with_next_poses(made: Evaluated, calibration: Calibration, system: LoadedSystem) -> Evaluated:

@@ -11,11 +11,14 @@ from calibration.base.errors import CalibrationError
 from calibration.base.optional import optional
 from calibration.ci.pages.charts import heat_map, histogram
 from calibration.ci.pages.html import Html, element, figure
-from calibration.ci.pages.image_figures import image_map, overlay, residual_plane
+from calibration.ci.pages.image_figures import CORNER_STEPS, image_map, overlay, residual_plane
 from calibration.engine.dataset.document import Node, locate
 from calibration.engine.dataset.model import Dataset, Sensor
+from calibration.engine.estimation.covariance.lens_errors import LensSource
+from calibration.engine.estimation.covariance.projection import cells_with_pixels
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.evaluation.label_errors import Residuals, residuals
+from calibration.engine.geometry.cameras import Camera
 from calibration.pipeline.matrix.cell_result import ProjectionResult
 
 MAX_VIEWS = 4
@@ -130,6 +133,7 @@ def _residual_figures(sensor: Sensor, of_sensor: Residuals, levels: NoiseLevels 
         yield figure(
             residual_plane(sensor.name, size, of_sensor.where, of_sensor.values), f"{sensor.name}: {_PLANE_CAPTION}"
         )
+        yield from _maps_over_image(sensor.name, sensor.camera, of_sensor)
         sigma = levels.pixel if levels else None
         drawn = histogram(f"{sensor.name}, x and y", of_sensor.values.ravel(), sigma or 0.0, "px")
         yield figure(drawn, f"{sensor.name}: residuals in x and y {stated}")
@@ -143,12 +147,36 @@ def _residual_figures(sensor: Sensor, of_sensor: Residuals, levels: NoiseLevels 
         yield figure(drawn, f"{sensor.name}: distances from the pattern {stated}")
 
 
+def _maps_over_image(name: str, camera: Camera, found: Residuals) -> Iterator[Html]:
+    """Yield the maps of how many corners were seen in each part of the image, and of how well they fit there."""
+    size = camera.width, camera.height
+    count = cells_with_pixels(camera, found.where)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        rms = np.sqrt(cells_with_pixels(camera, found.where, found.sizes**2) / count)
+    coverage = image_map(f"Coverage of {name}", size, np.where(count > 0, count, np.nan), "corners", CORNER_STEPS)
+    views, share = len(np.unique(found.collections)), np.mean(count > 0)
+    yield figure(
+        coverage, f"{name}: corners seen in each part of the image, in {views} views; {share:.0%} of it has some."
+    )
+    yield figure(
+        image_map(f"Residuals of {name}", size, rms), f"{name}: RMS of the residuals in each part of the image."
+    )
+
+
 def _by_collection(of_sensor: Residuals, count: int) -> Array:
     """RMS (count,) of each view; NaN if there is none."""
     sums = np.bincount(of_sensor.collections, of_sensor.sizes**2, count)
     with np.errstate(invalid="ignore", divide="ignore"):
         rms: Array = np.sqrt(sums / np.bincount(of_sensor.collections, minlength=count))
     return rms
+
+
+_GIVEN_INTRINSICS: Mapping[LensSource, str] = {
+    "nominal": "given intrinsics as sure as a usual calibration's",
+    "assume": "given intrinsics as sure as assume says",
+    "covariance": "given intrinsics and their covariance",
+    "standard-deviations": "given intrinsics and their standard deviations",
+}
 
 
 def projection_figures(cameras: Sequence[ProjectionResult]) -> Iterator[Html]:
@@ -162,6 +190,7 @@ def projection_figures(cameras: Sequence[ProjectionResult]) -> Iterator[Html]:
         )
         far = image_map(f"Projection of {camera.camera}, far away", size, _cell_values(camera, camera.far_px))
         what = f"{camera.camera}: standard deviation of where a point is seen"
+        what += f", with {_GIVEN_INTRINSICS[camera.given]}," if camera.given else ""
         yield element(
             "div",
             figure(

@@ -4,27 +4,27 @@ import re
 
 import numpy as np
 
-from calibration.ci.pages.image_figures import COLOUR_STEPS, image_map
+from calibration.ci.pages.image_figures import COLOUR_STEPS, CORNER_STEPS, image_map
 
 
 def test_each_number_is_a_cell_at_its_place_and_none_where_there_is_none() -> None:
-    values = np.array([[0.01, 0.3], [np.nan, 30.0]])
-    drawn = str(image_map("Map", (640, 480), values))
-    titles = re.findall(r"<title>\((\d+), (\d+)\): ([^<]*) px</title>", drawn)
-    assert titles == [("160", "120", "0.01"), ("480", "120", "0.3"), ("480", "360", "30")]
+    drawn = str(image_map("Map", (560, 420), np.array([[0.01, 0.3], [np.nan, 30.0], [0.012, 0.31]])))
+    paths = re.findall(r'<path d="(.*?)"', drawn)
+    assert paths == ["M0 0h1v1h-1zM0 2h1v1h-1z", "M1 0h1v1h-1zM1 2h1v1h-1z", "M1 1h1v1h-1z"]
+    assert drawn.count('transform="scale(280 140)"') == 3
     assert "Map: at most 30 px" in drawn
     assert "nan" not in drawn.lower()
 
 
 def test_larger_numbers_are_stronger_and_the_scale_has_every_step() -> None:
-    values = np.array([[edge * 1.01 for edge in COLOUR_STEPS]])
-    opacities = [
-        float(each) for each in re.findall(r'fill-opacity="([\d.]+)"', str(image_map("Map", (640, 480), values)))
-    ]
-    cells, scale = opacities[: len(COLOUR_STEPS)], opacities[len(COLOUR_STEPS) :]
-    assert cells == sorted(set(cells))
-    assert scale == sorted(set(scale))
-    assert cells == scale[1:]
+    for steps in (COLOUR_STEPS, CORNER_STEPS):
+        drawn = str(image_map("Map", (640, 480), np.array([[edge * 1.01 for edge in steps]]), "corners", steps))
+        opacities = [float(each) for each in re.findall(r'fill-opacity="([\d.]+)"', drawn)]
+        cells, scale = opacities[: len(steps)], opacities[len(steps) :]
+        assert cells == sorted(set(cells))
+        assert scale == sorted(set(scale))
+        assert cells == scale[1:]
+        assert f"{steps[-1]:g} corners" in drawn
 
 
 def test_a_map_without_numbers_is_a_frame() -> None:

@@ -8,12 +8,12 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.covariance.projection import Projection, projection_of
-from calibration.engine.estimation.options import ALL_EXACT, Options
+from calibration.engine.estimation.covariance.projection import Projection, given_lens, projection_of
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import apply
-from tests.engine.estimation.systems import covering
+from tests.engine.estimation.systems import covering, stereo
 
 OPTIONS = Options(intrinsics=("all",), assume=ALL_EXACT, loss="linear")
 LENSES = {
@@ -46,10 +46,10 @@ def moved(points: Array, twist: Array) -> Array:
     return points + twist[:3] + np.cross(twist[3:], points)
 
 
-def corners_of(dataset: Dataset) -> Array:
+def corners_of(dataset: Dataset, name: str = "c0") -> Array:
     """Corners (n, 3) of all views in the camera's frame, at the true poses."""
     pattern = dataset.patterns["board"] if "board" in dataset.patterns else next(iter(dataset.patterns.values()))
-    T = dataset.transform(dataset.sensors["c0"].frame, pattern.link)
+    T = dataset.transform(dataset.sensors[name].frame, pattern.link)
     return np.concatenate([apply(each, pattern.corners) for each in T])
 
 
@@ -89,7 +89,7 @@ def simple_projection(model: Camera) -> tuple[Projection, Array]:
 
 def test_what_a_motion_of_the_camera_makes_up_for_does_not_count() -> None:
     found, _ = simple_projection(LENSES["plumb_bob"])
-    change = np.array([parameter == "cx" for parameter in found.free.free], float)
+    change = np.array([found.camera.parameters[i] == "cx" for i in found.at], float)
     assert found.shift(change) < 0.5  # px, of 1 px by which every point moves
     far = np.linalg.norm(found.changes() @ change, axis=-1)
     near = np.linalg.norm(found.changes(found.distance) @ change, axis=-1)
@@ -109,3 +109,32 @@ def test_cells_that_the_lens_cannot_see_have_no_number() -> None:
     sigmas = larger.sigmas(covariance)
     assert np.isnan(sigmas[-1, -1])
     assert np.isfinite(sigmas[0, 0])
+
+
+def test_given_intrinsics_are_as_sure_as_other_ones_with_their_errors_place_points() -> None:
+    """By draws of the intrinsics; each camera is placed again, to fit the corners."""
+    result = calibrate(stereo(30, pixel_noise=0.2).dataset(), Options(assume=Assumptions(focal_length=0.002)))
+    lens = given_lens(result, "left")
+    assert lens is not None
+    assert lens.source == "assume"
+    camera = result.dataset.sensors["left"].camera
+    assert camera is not None
+    at = tuple(camera.parameters.index(name) for name in lens.parameters)
+    found = projection_of(result, "left", at)
+    corners = corners_of(result.dataset, "left")[::11]
+    rays = camera.rays(found.pixels[::6, ::6].reshape(-1, 2))
+    points = found.distance * rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+    draws, scatter = np.random.default_rng(1), []
+    for _ in range(80):
+        changed = camera.intrinsics.copy()
+        changed[list(at)] += lens.root @ draws.standard_normal(lens.root.shape[1])
+        other = camera.with_intrinsics(changed)
+        scatter.append(other.project(moved(points, moved_to_fit(camera, other, corners))) - camera.project(points))
+    worst = [np.linalg.eigvalsh(np.cov(np.array(scatter)[:, i].T))[-1] for i in range(len(points))]
+    stated = found.sigmas(lens.root @ lens.root.T, found.distance)[::6, ::6].ravel()
+    assert np.median(np.sqrt(worst) / stated) == pytest.approx(1.0, abs=0.15)
+
+
+def test_intrinsics_that_are_calibrated_or_exactly_known_are_not_given() -> None:
+    assert given_lens(calibrate(scene(LENSES["plumb_bob"], 0), OPTIONS), "c0") is None
+    assert given_lens(calibrate(stereo().dataset(), Options(assume=ALL_EXACT)), "left") is None
