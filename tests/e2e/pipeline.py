@@ -15,7 +15,9 @@ OUTPUTS = ("verdict", "success-rate", "billed-minutes", "cost")
 """Of the workflow; a job of the caller prints them."""
 STAND_INS = Path(__file__).with_name("stand_ins")
 WORKFLOW = PROJECT / ".github" / "workflows" / "pipeline.yml"
-PINS = sorted(set(re.findall(r"uses: (actions/(?:cache|(?:up|down)load-artifact)@[0-9a-f]{40})", WORKFLOW.read_text())))
+PINS = sorted(
+    set(re.findall(r"uses: (actions/(?:cache|attest|(?:up|down)load-artifact)@[0-9a-f]{40})", WORKFLOW.read_text()))
+)
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class Caller:
                     "with": {**self.inputs, **inputs},
                     "secrets": {
                         name: f"${{{{ secrets.{name.upper().replace('-', '_')} }}}}"
-                        for name in ("codacy-project-token", "registry-password")
+                        for name in ("codacy-project-token", "registry-password", "signing-key")
                     },
                 },
                 "after": {

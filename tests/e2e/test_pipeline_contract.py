@@ -85,7 +85,7 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
                 assert given <= known
                 assert "INPUT_PYTHON" in given
     steps = {"plan-matrix", "build-image", "calibrate-matrix", "run", "coverage-upload", "gather-results", "comment"}
-    steps.add("static-analysis")
+    steps |= {"static-analysis", "deliver"}
     assert started == steps
 
 
@@ -98,9 +98,9 @@ def test_the_plan_hands_on_all_that_it_says() -> None:
 
 def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     verdict = JOBS["verdict"]
-    assert set(verdict["needs"]) == set(JOBS) - {"verdict", "comment", "promote"}
+    assert set(verdict["needs"]) == set(JOBS) - {"verdict", "comment", "promote", "deliver"}
     assert verdict["if"] == "${{ always() }}"
-    assert set(WorkflowPlan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "comment", "promote"}
+    assert set(WorkflowPlan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "comment", "promote", "deliver"}
     [told] = [step["env"]["INPUT_NEEDS"] for step in verdict["steps"] if "INPUT_NEEDS" in step.get("env", {})]
     needs = parse_needs(re.sub(r"\$\{\{ toJSON\(needs\.([\w-]+)\..*?\) \}\}", r'"\1"', told))
     assert dict(needs.results) == {job: job for job in verdict["needs"]}
@@ -115,7 +115,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
 def test_no_call_gathers_what_another_one_left() -> None:
     """Whatever their names, of those that plan-matrix takes, and a job's slug are."""
     steps = [step["with"] for job in JOBS.values() for step in job["steps"] if "artifact@" in step.get("uses", "")]
-    assert len(steps) == 21
+    assert len(steps) == 23
 
     def names(key: str, call: str) -> list[str]:
         texts = [step[key] for step in steps if key in step]
@@ -145,6 +145,13 @@ def test_an_image_is_promoted_after_a_verdict_that_is_pass_and_never_in_a_pull_r
     assert wish == "${{ inputs.may-promote && inputs.promote && !startsWith(github.event_name, 'pull_request') }}"
 
 
+def test_a_push_that_passed_is_delivered_if_that_is_asked_for() -> None:
+    last = JOBS["deliver"]
+    asked = "(inputs.deliver-registry != '' || inputs.deliver-release)"
+    for condition in ("needs.verdict.outputs.verdict == 'pass'", "github.event_name == 'push'", asked, "!cancelled()"):
+        assert condition in last["if"]
+
+
 def test_a_promotion_that_lost_the_digest_builds_nothing() -> None:
     [step] = [step for step in JOBS["promote"]["steps"] if step.get("name") == "Promote"]
     fallback = re.fullmatch(r"\$\{\{ needs\.image\.outputs\.digest \|\| '(.+)' \}\}", step["env"]["INPUT_DIGEST"])
@@ -157,7 +164,7 @@ def test_every_job_measures_itself() -> None:
     """From its first step to its last; where the jobs are of a matrix, until it keeps its results."""
     for name, job in JOBS.items():
         first, *_, last = job["steps"]
-        if name in ("comment", "promote"):  # nobody waits for them
+        if name in ("comment", "promote", "deliver"):  # nobody waits for them
             continue
         assert first["run"] == 'echo "began=$(date +%s)" >>"$GITHUB_OUTPUT"'
         if name == "verdict":
@@ -238,7 +245,7 @@ def test_permissions_are_small() -> None:
     # These use what the caller gives: a registry, AWS, the comment.
     assert {name for name, job in JOBS.items() if "permissions" not in job} == {
         *("image", "calibrate-in-image", "collect-data-in-containers", "calibrate-collected-in-image"),
-        *("test-image", "comment", "promote"),
+        *("test-image", "comment", "promote", "deliver"),
     }
 
 

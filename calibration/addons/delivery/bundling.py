@@ -55,11 +55,6 @@ class Bundle:
     manifest: Manifest
     content: bytes
 
-    @property
-    def file_name(self) -> str:
-        """Name of its file."""
-        return f"{self.manifest.name}.calibration.tar"
-
     def with_version(self, version: str) -> "Bundle":
         """Return the bundle with another version."""
         manifest = replace(self.manifest, version=version)

@@ -16,7 +16,7 @@ from calibration.addons.delivery.delivering import DeliveredBundle, deliver_bund
 from calibration.addons.delivery.destinations import CHANGELOG_FILE, DeliveryFolder, Destination
 from calibration.addons.delivery.release import GitHubReleases
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
-from calibration.addons.delivery.writing import write_bundle
+from calibration.addons.delivery.writing import PREDICATE_ENDING, write_bundle
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.records import field, length, record
@@ -85,7 +85,7 @@ def command(context: click.Context, /, **options: Any) -> ExitCode:
     settings = chosen(DeliverSettings, options)
     event = runner.service.event(os.environ)
     if (reason := _why_not(settings, event)) is not None:
-        annotate(runner, [Annotation(f"nothing is delivered: {reason}", Level.NOTICE, title=TITLE)])
+        annotate(runner, [Annotation(f"nothing is delivered: {reason}", Level.NOTICE, title="Delivery")])
         set_outputs(runner, {"delivered": False})
         return ExitCode.PASS
     _deliver(settings, given(DeliverySettings, options), event, password, key, runner)
@@ -136,7 +136,7 @@ def _deliver(
         found = deliver_bundle(bundle, destinations, delivery.version, run.baseline.same_data, sign)
         if found.changelog:
             write_atomically(folder / CHANGELOG_FILE, found.changelog)
-    _show(found, runner)
+    _show(found, folder, runner)
 
 
 def _destinations(
@@ -166,7 +166,7 @@ def _destinations(
         yield DeliveryFolder(settings.folder, runner)
 
 
-def _show(found: DeliveredBundle, runner: Runner) -> None:
+def _show(found: DeliveredBundle, folder: Path, runner: Runner) -> None:
     manifest = found.contents.manifest
     named = f"{manifest.name} {manifest.version}"
     if found.later:
@@ -176,9 +176,12 @@ def _show(found: DeliveredBundle, runner: Runner) -> None:
     else:
         line = f"{named} delivered to {', '.join(found.to)}"
     if found.to and found.contents.fetched.attestation is None:
-        annotate(runner, [Annotation("it is not signed: there is no key", Level.WARNING, title=TITLE)])
+        annotate(runner, [Annotation("it is not signed: there is no key", Level.WARNING, title="Delivery")])
     add_summary(runner, found.changelog)
-    set_outputs(runner, {"delivered": bool(found.to), "version": manifest.version, "change": found.level})
+    path = folder / manifest.file_name
+    predicate = path.with_name(path.name + PREDICATE_ENDING)
+    files = {"bundle": path, "predicate": predicate} if found.to else {"bundle": "", "predicate": ""}
+    set_outputs(runner, {"delivered": bool(found.to), "version": manifest.version, "change": found.level, **files})
     with stop_commands(runner):
         if found.changelog:
             runner.log(found.changelog)

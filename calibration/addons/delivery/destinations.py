@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Protocol
 
 from calibration.addons.delivery.attestation import ATTESTATION_ENDING
-from calibration.addons.delivery.bundling import Bundle
 from calibration.addons.delivery.fetching import FetchedBundle, fetch_bundle
 from calibration.addons.delivery.manifest import Manifest, is_version, version_order
 from calibration.base.errors import InfrastructureError, InputError
@@ -32,15 +31,11 @@ class Delivery:
     changelog: str
 
     @property
-    def file_name(self) -> str:
-        """Name of the bundle's file."""
-        return Bundle(self.manifest, self.content).file_name
-
-    @property
     def files(self) -> dict[str, bytes]:
         """The files by their names: the bundle, its attestation if there is one, and the changelog."""
-        attested = {} if self.attestation is None else {self.file_name + ATTESTATION_ENDING: self.attestation}
-        return {self.file_name: self.content, **attested, CHANGELOG_FILE: self.changelog.encode()}
+        name = self.manifest.file_name
+        attested = {} if self.attestation is None else {name + ATTESTATION_ENDING: self.attestation}
+        return {name: self.content, **attested, CHANGELOG_FILE: self.changelog.encode()}
 
 
 class Destination(Protocol):

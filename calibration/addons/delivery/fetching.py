@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES, MAX_FILES, RefusedBundleError, pack_files
 from calibration.addons.delivery.attestation import ATTESTATION_ENDING, MAX_ATTESTATION_BYTES
-from calibration.addons.delivery.manifest import MANIFEST_FILE
+from calibration.addons.delivery.manifest import BUNDLE_ENDING, MANIFEST_FILE
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.ci.workflow import Runner
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from calibration.ci.registries.reference import Reference
     from calibration.ci.registries.registry import RegistryClient
 
-BUNDLE_ENDING = ".calibration.tar"
 ATTESTATION_IN_FOLDER = f"attestation{ATTESTATION_ENDING}"
 """Name of the attestation in an unpacked folder."""
 ARTIFACT_TYPE = "application/vnd.calibration-ci.bundle.v1"

@@ -18,6 +18,10 @@ VERSION_PATTERN = r"[0-9]{1,18}(\.[0-9]{1,18}){0,3}"
 Version = Annotated[str, matching(VERSION_PATTERN, "one to four numbers such as 1.4.2")]
 
 
+BUNDLE_ENDING = ".calibration.tar"
+"""End of the name of a bundle's file."""
+
+
 def is_version(text: str) -> bool:
     """Return whether a text is a version of a bundle."""
     return re.fullmatch(VERSION_PATTERN, text, re.ASCII) is not None
@@ -121,6 +125,11 @@ class Manifest:
     def marks(self) -> tuple[str, ...]:
         """Why systems would not be bundled unless asked for."""
         return tuple(f"{system.name}: {mark}" for system in self.systems for mark in system.marks)
+
+    @property
+    def file_name(self) -> str:
+        """Name of the bundle's file."""
+        return f"{self.name}{BUNDLE_ENDING}"
 
     @property
     def text(self) -> str:

@@ -80,7 +80,7 @@ def write_bundle(
         InfrastructureError: a file cannot be written, or cryptography is not installed.
     """
     key = read_signing_key(key_file, environment)
-    path = folder / bundle.file_name
+    path = folder / bundle.manifest.file_name
     attestation, predicate = (path.with_name(path.name + each) for each in (ATTESTATION_ENDING, PREDICATE_ENDING))
     remove_results(folder, [each.name for each in (path, attestation, predicate)])
     write_atomically(path, bundle.content)

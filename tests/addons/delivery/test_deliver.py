@@ -92,7 +92,8 @@ def test_versions_follow_from_what_changed(
     assert 2.7 < float(line.split("|")[2].split("±")[0]) < 3.3
     assert deliver(team, there) == 0  # the job of the earlier commit ends later
     assert "robot 1.1.0 is of a later commit" in capsys.readouterr().out
-    assert (tmp_path / "outputs").read_text().splitlines()[-3:] == ["delivered=false", "version=1.1.0", "change=none"]
+    outputs = (tmp_path / "outputs").read_text().splitlines()[-5:]
+    assert outputs == ["delivered=false", "version=1.1.0", "change=none", "bundle=", "predicate="]
     (tmp_path / "team.pub").write_bytes(public_pem(KEY))
     for version, code in (("1.1.0", 0), ("1.2", 1)):
         name = f"{there.server.address}/{IMAGE}"

@@ -2,6 +2,7 @@
 
 import base64
 import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from tests.addons.delivery.bundles import KEY, NAME, private_pem, public_pem
 from tests.addons.delivery.services import IMAGE, services
 from tests.displaced import displace
 from tests.e2e.conftest import PROJECT, Repository, cache, calibration, commit, repository, suite
+from tests.e2e.pipeline import Caller
 from tests.e2e.steps import Step, outcome, outcomes, workflow
 
 __all__ = ["cache", "repository", "suite"]
@@ -83,3 +85,31 @@ def test_a_sensor_that_moved_is_a_minor_version(repository: Repository, tmp_path
         transforms["transforms"][-1]["transform"]["translation"]["x"] -= 0.003
         used.write_text(yaml.safe_dump(transforms))
         assert main(["verify", registry, "--unsigned", "--in-use", str(used)]) == 1
+
+
+@pytest.mark.thorough
+def test_the_workflow_delivers_what_has_passed(repository: Repository, tmp_path: Path) -> None:
+    """Of two cells in jobs of their own; the registry is a stand-in."""
+    folder = repository.folder
+    with services() as there:
+        there.repository = f"me/{folder.name.replace(' ', '-')}"
+        registry = f"{there.server.address}/{IMAGE}"
+        caller = Caller(
+            repository,
+            tmp_path / "artifacts",
+            {"python": sys.executable, "noise-inside-cells": False, "deliver-registry": registry},
+            {"signing-key": private_pem()},
+        )
+        configuration = f"noise: {{translation: [0, 0.1]}}\ndelivery: {{serial: SN-9}}\n{CONFIGURATION}"
+        files = {"calibration.yml": configuration, "my robot": PROJECT / "datasets" / "t2rgb"}
+        caller.write({}, files)
+        calibration(folder, "run", "--output", str(tmp_path / "accepted"))
+        calibration(folder, "accept", "--output", str(tmp_path / "accepted"))
+        commit(folder)
+        event = tmp_path / "event.json"
+        event.write_text('{"ref": "refs/heads/main", "repository": {"default_branch": "main"}}')
+        run = caller.run("push", "-e", str(event))
+        assert run.code == 0, run.log
+        assert there.shown == (["1.0.0", "latest"], [])
+        (tmp_path / "team.pub").write_bytes(public_pem(KEY))
+        assert main(["verify", registry, "--key", str(tmp_path / "team.pub"), "--serial", "SN-9"]) == 0
