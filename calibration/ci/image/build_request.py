@@ -159,3 +159,5 @@ class BuildRequest:
     secrets: Sequence[SecretValue] = ()
     ssh: bool = False
     no_cache: bool = False
+    attest: bool = False
+    """Whether BuildKit makes an SBOM and a provenance."""

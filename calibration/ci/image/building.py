@@ -114,6 +114,9 @@ class _Work:
         self._secrets = secrets
         self._push = push
         self._load = load and len(specification.platforms) < 2
+        self._attest = specification.attest and push
+        self._by_registry = self._attest or len(specification.platforms) > 1
+        """Whether the builder pushes it, as the engine cannot store it whole."""
         self._logins: dict[str, Credentials] = {}
 
     def bring_about(self, plan: Plan, builder: BuilderName, force: bool) -> BuiltImage:
@@ -149,7 +152,7 @@ class _Work:
 
     def _find_image(self, reference: str, key: str) -> BuiltImage | None:
         """Return the image of a key from the engine or the registry; None if it is missing."""
-        local = local_image(self._client, reference) if len(self._specification.platforms) < 2 else None
+        local = None if self._by_registry else local_image(self._client, reference)
         if local is not None and local.labels.get(KEY_LABEL) == key:
             return BuiltImage(reference, key, built=False, id=local.id, found_in="local")
         digest = self._digest_in_registry(reference)
@@ -199,10 +202,11 @@ class _Work:
             secrets=self._secrets,
             ssh=specification.ssh,
             no_cache=force,
+            attest=self._attest,
         )
+        if self._by_registry:
+            return self._built_in_registry(program, request, reference, plan)
         with self._logged_group(f"{TITLE}: building {reference}") as log:
-            if len(specification.platforms) > 1:
-                return self._built_for_several(program, request, reference, plan, log)
             for base in plan.bases:
                 self._fetch_base(base, log)
             if program is None:
@@ -230,13 +234,16 @@ class _Work:
         if base.digest and not reference.digest:
             self._client.images.get(pinned).tag(reference.name, reference.tag or "latest")
 
-    def _built_for_several(
-        self, program: "Program | None", request: "BuildRequest", reference: str, plan: Plan, log: BuildLog
+    def _built_in_registry(
+        self, program: "Program | None", request: "BuildRequest", reference: str, plan: Plan
     ) -> BuiltImage:
         if program is None or not program.buildx:
-            raise InputError("platforms: several need docker's plugin buildx: install it, or name one platform")
-        digest = build_and_push(program, request, [reference], self.login(reference), log)
-        return BuiltImage(reference, plan.key, built=True, digest=digest)
+            key = "attest: SBOM and provenance" if self._attest else "platforms: several"
+            raise InputError(f"{key} need docker's plugin buildx (docker-buildx-plugin): install it, or remove the key")
+        with self._logged_group(f"{TITLE}: building {reference}") as log:
+            digest = build_and_push(program, request, [reference], self.login(reference), log)
+        found = self._find_image(reference, plan.key) if self._load else None
+        return replace(found or BuiltImage(reference, plan.key, built=True), built=True, digest=digest)
 
     def _choose_program(self, plan: Plan, builder: BuilderName) -> "Program | None":
         """Return the command to build with; None for the engine's classic builder.

@@ -152,7 +152,7 @@ def build_by_buildkit(program: Program, request: BuildRequest, reference: str, l
 def build_and_push(
     program: Program, request: BuildRequest, references: Sequence[str], credentials: Credentials, log: BuildLog
 ) -> str:
-    """Build for several platforms and push, because the engine cannot store such an image; return its digest.
+    """Build and push what the engine cannot store, several platforms or attestations, and return its digest.
 
     Raises:
         BuildFailedError, InputError, InfrastructureError: as :func:`build_by_buildkit`.
@@ -187,6 +187,7 @@ def _run_build(
         command += ["--platform", ",".join(request.platforms)] if request.platforms else []
         command += [word for name, path in files.items() for word in ("--secret", f"id={name},src={path}")]
         command += ["--no-cache"] if request.no_cache else []
+        command += ["--sbom=true", "--provenance=mode=max"] if request.attest else []
         if request.ssh:
             if not os.environ.get("SSH_AUTH_SOCK"):
                 raise InputError("ssh: no SSH agent runs here (SSH_AUTH_SOCK): start one and add the key to it")
@@ -265,7 +266,7 @@ def _step_problem(text: str) -> str:
 
 @contextmanager
 def _temporary_builder(program: Program, environment: Mapping[str, str], image: str) -> Iterator[str]:
-    """Create a temporary builder that supports several platforms."""
+    """Create a temporary builder that supports several platforms and attestations."""
     name = f"calibration-{secrets.token_hex(6)}"
     try:
         _run_buildx(program, environment, image, "create", "--name", name, "--driver", "docker-container")

@@ -29,6 +29,8 @@ def content_key(
     build_arguments: Mapping[str, str],
     target: str | None,
     labels: Mapping[str, str],
+    *,
+    attested: bool = False,
 ) -> str:
     """Return the hash of all input of an image, without times, tags and the commit.
 
@@ -40,6 +42,7 @@ def content_key(
         build_arguments: values of ARG.
         target: stage to build; None for the last one.
         labels: labels of the user.
+        attested: whether it is attested: one that is not is another image.
 
     Raises:
         InfrastructureError: a file cannot be read.
@@ -53,6 +56,7 @@ def content_key(
         "target": target,
         "labels": dict(labels),
         "files": list(context.digests()),
+        **({"attested": True} if attested else {}),
     }
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 

@@ -170,7 +170,9 @@ def make_plan(
         bases, notes = (base,), tuple(_moving_parts(source))
     platforms = specification.platforms or (_own_platform(client),)
     identities = {base.name: base.identity for base in bases}
-    key = content_key(context, name, identities, platforms, arguments, target, specification.labels)
+    key = content_key(
+        context, name, identities, platforms, arguments, target, specification.labels, attested=specification.attest
+    )
     return Plan(context, name, text, key, bases, buildkit or len(platforms) > 1, notes)
 
 

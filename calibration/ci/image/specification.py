@@ -315,6 +315,11 @@ class ImageSpecification:
     )
     registry: RegistrySettings | None = field("Login to the registry; by default that of `docker login`.", default=None)
     push: bool = field("Whether the image goes to its registry.", default=False)
+    attest: bool = field(
+        "Whether BuildKit attests the image that is pushed: what is in it (SBOM), and how it was built (provenance), "
+        "beside it in the registry. Needs docker's plugin buildx.",
+        default=False,
+    )
     promote: Annotated[tuple[Tag, ...], UNIQUE] = field("Tags that the image gets after the verdict pass.", default=())
 
     def __post_init__(self) -> None:
@@ -387,6 +392,8 @@ def parse_image_specification(entry: object, folder: Path, where: str) -> ImageS
         raise InputError(f"{where}: name is not given: a registry's image needs one, such as ghcr.io/team/robot")
     if len(specification.platforms) > 1 and not specification.push:
         raise InputError(f"{where}: platforms: an engine holds one of several platforms: add push: true, or name one")
+    if specification.attest and not specification.push:
+        raise InputError(f"{where}: attest: what BuildKit says of an image is kept in its registry: add push: true")
     return specification
 
 

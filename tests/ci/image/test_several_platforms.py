@@ -98,6 +98,15 @@ def test_built_and_pushed_by_a_builder_of_our_own(program: Program, log: BuildLo
         assert archive.getnames() == ["Dockerfile"]
 
 
+@pytest.mark.parametrize("attest", [True, False])
+def test_attestations_are_made_where_they_are_asked_for(
+    program: Program, log: BuildLog, tmp_path: Path, attest: bool
+) -> None:
+    assert build_and_push(program, request(attest=attest), ["r/robot:key-1"], Credentials("r"), log) == DIGEST
+    _, build, _ = calls(tmp_path)
+    assert ({"--sbom=true", "--provenance=mode=max"} <= set(build)) is attest
+
+
 @pytest.mark.parametrize("variable", ["FAIL", "METADATA", "ADMINISTER"])
 def test_the_builder_is_removed_whatever_happens(
     program: Program, log: BuildLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str

@@ -124,6 +124,7 @@ def test_the_key_image_of_a_pipeline_with_variables(tmp_path: Path) -> None:
         ({"base": "debian", "name": "a:1"}, "f.yml: name: found 'a:1', a name without a tag"),
         ({"base": "debian", "push": True}, "f.yml: name is not given"),
         ({"base": "debian", "platforms": ["linux/amd64", "linux/arm64"]}, "f.yml: platforms: an engine holds one"),
+        ({"base": "debian", "attest": True}, "f.yml: attest: what BuildKit says of an image is kept in its registry"),
         ({"base": "debian", "apt": ["curl; rm -rf /"]}, "f.yml: apt.0: found 'curl; rm -rf /'"),
         ({"base": "debian", "apt": ["--force-yes"]}, "f.yml: apt.0: found '--force-yes'"),
         ({"base": "debian", "apt": ["curl\n"]}, "f.yml: apt.0: found"),

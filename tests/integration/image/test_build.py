@@ -251,6 +251,15 @@ def test_several_platforms_need_buildx(builds: Builds, registry: Registry) -> No
         builds.build(platforms=["linux/amd64", "linux/arm64"], **entry)
 
 
+def test_attestations_need_buildx_and_a_push(builds: Builds, registry: Registry) -> None:
+    entry: dict[str, Any] = {"name": f"{registry.address}/x/{builds.name}", "base": BASE, "push": True, "attest": True}
+    with pytest.raises(InputError, match="SBOM and provenance need docker's plugin buildx"):
+        builds.build({"builder": "engine"}, **entry)
+    plain = builds.build({"builder": "engine", "push": False}, **entry)  # as in a pull request of a stranger
+    assert plain.built
+    assert plain.key != builds.build({"builder": "engine", "push": False}, **{**entry, "attest": False}).key
+
+
 def test_inputs_outside_of_the_key_are_reported(builds: Builds) -> None:
     builds.write("Dockerfile", f"FROM {BASE} AS a\nFROM other-$TARGETARCH AS b\nFROM a\n")
     with pytest.raises((BuildFailedError, InputError, InfrastructureError)):
