@@ -4,13 +4,13 @@
 - ``archive``: the tar of a bundle, which has one possible form;
 - ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
 - ``bundling``: a bundle of the results of a run; ``writing``: its files;
-- ``bundle``, ``stage``: the command and the stage;
+- ``bundle``: the command and the stage;
 - ``changes``: what differs between two bundles, and the version that follows; ``destinations``, ``artifact``,
   ``release``: a folder, a registry, GitHub's releases; ``delivering``: delivery to them; ``deliver``: the command;
 - ``fleet``: the command that compares the robots of a fleet;
 - ``fetching``: a bundle read from a file, a folder or a registry;
 - ``checking``: whether a bundle is accepted on this robot;
-- ``poses``, ``in_use``, ``in_use_bag``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
+- ``poses``, ``in_use``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
 - ``results``: the output; ``verify``: the command, which needs no numpy.
 """
 
@@ -33,7 +33,7 @@ ADDON = Addon(
     },
     stages={
         "deliver": AddonStage(
-            f"{__name__}.stage:deliver_stage",
+            f"{__name__}.bundle:deliver_stage",
             section="delivery",
             result=DocumentSection(
                 f"{__name__}.results:Delivered", "The bundle for the robot, where calibration.yml asks for one."

@@ -7,22 +7,23 @@ from typing import Any
 import click
 
 from calibration.addons.delivery.bundling import RunToBundle, make_bundle, with_collected
-from calibration.addons.delivery.results import BundleResults
+from calibration.addons.delivery.results import BundleResults, Delivered
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
-from calibration.addons.delivery.writing import write_bundle
+from calibration.addons.delivery.writing import BUNDLE_FOLDER, write_bundle
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import changed, field, record
 from calibration.base.text import one_line
 from calibration.ci.execution.workspace import locked
+from calibration.ci.report import remove_results
 from calibration.ci.workflow import Level, Runner, add_mask, annotate, set_outputs, stop_commands
 from calibration.ci.workflow.runner import Annotation
 from calibration.commands.parameters import chosen, given, record_options
+from calibration.engine.baseline.quality import BaselineSettings
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.results import read_results
-from calibration.pipeline.stages.running import COLLECTED_FOLDER
+from calibration.pipeline.stages.running import COLLECTED_FOLDER, PipelineRun
 
 TITLE = "bundle"
-BUNDLE_FOLDER = "bundle"
 
 
 @record(kw_only=True)
@@ -84,8 +85,7 @@ def bundle_results(settings: BundleSettings, document: dict[str, Any], signing_k
         run, delivery = run_to_bundle(settings.config, settings.output, document)
         bundle = make_bundle(run, delivery, settings.although)
         environment = {**os.environ, KEY_VARIABLE: signing_key}
-        written = write_bundle(bundle, settings.output / BUNDLE_FOLDER, delivery.signing_key_file, environment)
-    return written.results(settings.output)
+        return write_bundle(bundle, settings.output, delivery.signing_key_file, environment)
 
 
 def run_to_bundle(config: Path, output: Path, document: dict[str, Any]) -> tuple[RunToBundle, DeliverySettings]:
@@ -132,3 +132,27 @@ def _show(found: BundleResults, output: Path, runner: Runner) -> None:
     )
     with stop_commands(runner):
         runner.log(one_line(f"{found.sentence}: {found.digest} ({output / found.file})"))
+
+
+def deliver_stage(run: PipelineRun) -> PipelineRun:
+    """Bundle what passed and is accepted; that nothing is to be bundled is no reason of the verdict.
+
+    Raises:
+        InputError: the key is wrong.
+        InfrastructureError: a file cannot be written.
+    """
+    settings: DeliverySettings = run.sections.of("delivery")
+    folder = run.output / BUNDLE_FOLDER
+    if folder.is_dir():  # of an earlier run
+        remove_results(folder, [path.name for path in folder.iterdir() if path.is_file()])
+    to_bundle = RunToBundle(
+        run.results, run.matrix.systems, run.output, run.config or run.output, run.baseline or BaselineSettings()
+    )
+    try:
+        bundle = make_bundle(to_bundle, settings, None)
+    except InputError as error:
+        return run.with_result("delivery", Delivered(why_not=str(error), folder=BUNDLE_FOLDER))
+    if key := os.environ.get(KEY_VARIABLE):
+        add_mask(run.runner, key)
+    written = write_bundle(bundle, run.output, settings.signing_key_file)
+    return run.with_result("delivery", Delivered(bundle=written, folder=BUNDLE_FOLDER))

@@ -10,13 +10,13 @@ import click
 
 from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES
 from calibration.addons.delivery.artifact import RegistryRepository
-from calibration.addons.delivery.bundle import BUNDLE_FOLDER, masked_signing_key, run_to_bundle, signing_key_option
+from calibration.addons.delivery.bundle import masked_signing_key, run_to_bundle, signing_key_option
 from calibration.addons.delivery.bundling import Bundle, make_bundle
 from calibration.addons.delivery.delivering import DeliveredBundle, deliver_bundle
 from calibration.addons.delivery.destinations import CHANGELOG_FILE, DeliveryFolder, Destination
 from calibration.addons.delivery.release import GitHubReleases
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
-from calibration.addons.delivery.writing import PREDICATE_ENDING, write_bundle
+from calibration.addons.delivery.writing import BUNDLE_FOLDER, PREDICATE_ENDING, write_bundle
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.records import field, length, record
@@ -129,8 +129,8 @@ def _deliver(
 
         def sign(versioned: Bundle) -> bytes | None:
             environment = {**os.environ, KEY_VARIABLE: signing_key}
-            written = write_bundle(versioned, folder, delivery.signing_key_file, environment)
-            return None if written.attestation is None else written.attestation.read_bytes()
+            written = write_bundle(versioned, settings.output, delivery.signing_key_file, environment)
+            return None if written.attestation is None else (settings.output / written.attestation).read_bytes()
 
         destinations = [*_destinations(settings, bundle.manifest.name, password, runner, os.environ, stack)]
         found = deliver_bundle(bundle, destinations, delivery.version, run.baseline.same_data, sign)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from calibration.addons.delivery.poses import Pose, pose_of, pose_of_angles
@@ -16,6 +16,9 @@ from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.base.optional import optional
 from calibration.base.text import one_line, shorten
+
+if TYPE_CHECKING:
+    from calibration.robot.importing.bags.bag import Bag
 
 MAX_FILE_BYTES = 16 * 1024**2
 MAX_LAUNCH_BYTES = 1024**2
@@ -26,6 +29,8 @@ _POSITION, _QUATERNION, _ANGLES = (
     ("--qx", "--qy", "--qz", "--qw"),
     ("--roll", "--pitch", "--yaw"),
 )
+_MATRICES = ("K", "D", "R", "P")
+_STATIC_TOPIC, _CAMERA_INFO_TYPE = "/tf_static", "sensor_msgs/msg/CameraInfo"
 _AUTOWARE_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _DOCUMENT_END = re.compile(rb"^---[ \t]*$", re.MULTILINE)
@@ -79,10 +84,7 @@ def read_in_use(path: Path, camera: str | None = None) -> InUse:
         InfrastructureError: a bag is given, and the package for bags is not installed.
     """
     if path.is_dir() or path.suffix in BAG_ENDINGS:
-        optional("rosbags", "reading bags")  # which a robot may lack, with numpy
-        from calibration.addons.delivery.in_use_bag import read_bag
-
-        return read_bag(path)
+        return _read_bag(path)
     content = read_bytes(path, MAX_FILE_BYTES, SUPPORTED_FILES)
     start = content.lstrip()[:1]
     if path.suffix == ".py":
@@ -300,3 +302,41 @@ def _floats(values: Sequence[object], count: int, where: str) -> list[float]:
 def _frame(name: str) -> str:
     """Return a frame without the slash that ROS 1 allows before it."""
     return name.removeprefix("/")
+
+
+def _read_bag(path: Path) -> InUse:
+    """Read the static transforms and the intrinsics of a bag; each that changes is there several times."""
+    optional("rosbags", "reading bags")  # which a robot may lack, with numpy
+    from calibration.robot.importing.bags.bag import open_bag
+
+    with open_bag([path]) as bag:
+        transforms = tuple(dict.fromkeys(_static_transforms_of_bag(bag)))
+        cameras = tuple(_cameras_of_bag(bag))
+    return InUse(str(path), transforms, cameras)
+
+
+def _static_transforms_of_bag(bag: "Bag") -> Iterator[UsedTransform]:
+    for message in bag.messages([_STATIC_TOPIC]):
+        for entry in bag.decode(message).transforms:
+            t, q = entry.transform.translation, entry.transform.rotation
+            numbers = [float(value) for value in (t.x, t.y, t.z, q.x, q.y, q.z, q.w)]
+            yield UsedTransform(_frame(entry.header.frame_id), _frame(entry.child_frame_id), pose_of(numbers))
+
+
+def _cameras_of_bag(bag: "Bag") -> Iterator[UsedCamera]:
+    seen: set[tuple[str, bytes]] = set()
+    for message in bag.messages(bag.of_type(_CAMERA_INFO_TYPE)):
+        key = (message.topic, bag.without_stamp(message))
+        if key not in seen:
+            seen.add(key)
+            info = bag.decode(message)
+            values: dict[str, Any] = {
+                "width": int(info.width),
+                "height": int(info.height),
+                "distortion_model": info.distortion_model,
+            }
+            for name in _MATRICES:  # capitals in ROS 1
+                numbers = getattr(info, name.lower(), None)
+                values[name] = [float(each) for each in (getattr(info, name) if numbers is None else numbers)]
+            frame = _frame(info.header.frame_id) or None
+            yield UsedCamera(f"{bag.path}, {message.topic}", None, frame, values)
