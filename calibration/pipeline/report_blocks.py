@@ -82,7 +82,12 @@ def _error_bars_in_brief(results: PipelineResults, system: str) -> str:
     """Describe the standard deviations of each sensor, worst first: "lidar3d ± 1.9 mm, 0.07 deg"; else the largest."""
     details = _best_details(results).get(system)
     poses = details.snapshot.poses if details and details.snapshot else ()
-    sigmas = {each.name: np.sqrt(np.diag(each.covariance)) for each in poses if each.covariance is not None}
+    sensors = details.recording.sensors if details and details.recording else ()
+    sigmas = {
+        each.name: np.sqrt(np.diag(each.covariance))
+        for each in poses
+        if each.covariance is not None and each.name in sensors
+    }
     sizes = {
         name: (1e3 * float(np.linalg.norm(s[:3])), math.degrees(np.linalg.norm(s[3:]))) for name, s in sigmas.items()
     }

@@ -120,7 +120,7 @@ def test_without_a_pull_request_of_the_team_there_is_a_notice(
 ) -> None:
     event(name, body)
     assert run_action("comment") == 0
-    assert f"::notice title=comment::{expected}" in capsys.readouterr().out
+    assert f"::notice title=Comment::{expected}" in capsys.readouterr().out
     assert service.comments == []
 
 

@@ -65,11 +65,11 @@ class Run:
 
     @property
     def tables(self) -> dict[str, list[list[str]]]:
-        """The cells of the tables in the last summary of calibrations, row by row; by the first word of the header."""
+        """Cells of the tables in the last summary of calibrations, row by row; by the header's first word, once each."""
         summary = self.log[self.log.rindex("Summary - ## Calibration") :]
         text = re.findall(r"(?:^\|.*\n)+", summary, re.MULTILINE)
         tables = [[line.strip("| ").split(" | ") for line in table.splitlines()] for table in text]
-        return {table[0][0]: [table[0], *table[2:]] for table in tables}
+        return {table[0][0]: [table[0], *table[2:]] for table in reversed(tables)}
 
     @property
     def outputs(self) -> set[str]:

@@ -167,7 +167,7 @@ def test_every_action_is_green_on_a_push_and_for_a_stranger(
         assert [asked.headers["project-token"] for asked in server.asked] == [TOKEN]
         assert TOKEN not in run.log
         # Each brought its own environment, which has all that it needs; the second table found the first one's.
-        assert run.installations == ["introspect", "coverage", "image", "calibrate", "run"]
+        assert run.installations == ["introspect", "coverage", "image", "engine", "run"]
 
         # For a stranger, those whose work depends on the event; with an environment of the user's own.
         eventful = ("table", "coverage", "image", "pipeline")
@@ -242,7 +242,7 @@ def test_actions_are_red_in_every_way(repository: Repository, base_image: str, i
             3,
             ["my table.csv/out"],
         ),
-        (Step("matrix-1", "calibrate-matrix", matrix | {"rules": "my limits.yml"}), 1, ["calibrate-matrix", "0.01"]),
+        (Step("matrix-1", "calibrate-matrix", matrix | {"rules": "my limits.yml"}), 1, ["Calibration", "0.01"]),
         (Step("matrix-2", "calibrate-matrix", {"dataset": "nowhere"}), 2, ["nowhere"]),
         (Step("collect-2", "collect-data-sim", collection | {"system": "my rebot", "output": "x"}), 2, ["my rebot"]),
         (

@@ -166,7 +166,7 @@ def test_the_root_action_passes_the_example_and_not_what_got_worse(
     assert run.code == 1
     test = r"::error file=examples/ros1/robot/test/test_camera\.py,line=\d+,title=test failed::"
     assert [line for line in run.annotations if re.match(test, line)], run.log
-    [counterexample] = {line for line in run.annotations if "title=check-messages::" in line}
+    [counterexample] = {line for line in run.annotations if "title=Requirements over messages::" in line}
     stamps = r"/pattern/pose at \d+\.\d{3} s \(\d{10}\.\d{3}\): pose\.position\.x = [\d.]+"
     assert re.search(stamps, counterexample), run.log
     assert any("our engine passes on the same data from the same start" in line for line in run.annotations), run.log

@@ -48,10 +48,15 @@ def overview_table(results: PipelineResults, anchors: Mapping[str, str]) -> Html
     """Return the row of each robot, with a link to its section."""
     found = report_blocks.overview_table(results)
     rows = [
-        (element("a", row[0], href=f"#{anchors[row[0]]}") if row[0] in anchors else row[0], *row[1:])
+        (element("a", row[0], href=f"#{anchors[row[0]]}") if row[0] in anchors else row[0], *map(_lines, row[1:]))
         for row in found.rows
     ]
     return table(found.columns, rows)
+
+
+def _lines(text: str) -> Html | str:
+    """Return parts of a text, between semicolons, below each other."""
+    return join([element("div", part) for part in text.split("; ")]) if "; " in text else text
 
 
 def starts_table(results: PipelineResults) -> Html:
