@@ -65,7 +65,7 @@ class Run:
 
     @property
     def tables(self) -> dict[str, list[list[str]]]:
-        """Cells of the tables in the last summary of calibrations, row by row; by the header's first word, once each."""
+        """Cells of the tables in the last summary of calibrations, row by row, by the header's first word."""
         summary = self.log[self.log.rindex("Summary - ## Calibration") :]
         text = re.findall(r"(?:^\|.*\n)+", summary, re.MULTILINE)
         tables = [[line.strip("| ").split(" | ") for line in table.splitlines()] for table in text]
