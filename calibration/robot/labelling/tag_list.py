@@ -25,8 +25,8 @@ SIDE_POSITIONS = np.linspace(0.08, 0.92, 43)
 MAX_SEARCH_DEPTH, MIN_SEARCH_DEPTH, ENOUGH_PX = 0.45, 0.2, 2.5
 """How far an edge is looked for to each side: in modules as seen across it, and what is enough for any blur (px).
 
-A tag's black border is one module wide, and its white margin is often cut: in public images with a margin of 0.35 modules
-of 12 px, corners by 0.45 modules were off by 1.3 px, and 27 of 42 tags had no clear edges.
+A tag's black border is one module wide, and its white margin is often cut: in public images with a margin of 0.35
+modules of 12 px, corners by 0.45 modules were off by 1.3 px, and 27 of 42 tags had no clear edges.
 """
 FIT_ROUNDS = 3
 """Number of times that the sides are fitted, each from the corners before."""
