@@ -8,7 +8,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.base.text import rounded, with_error_bar
 from calibration.engine.diagnosis.finding import Finding, Severity
-from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
+from calibration.engine.diagnosis.limits import SENSOR_UNITS, TWIST_UNITS, Limits, allowed, block_of, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
 from calibration.engine.diagnosis.robot_tasks import worst_at_tasks
@@ -36,7 +36,7 @@ from calibration.engine.estimation.residuals.statistics import score_of_f, thres
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
-from calibration.engine.tasks.gaussian_norm import probability_beyond
+from calibration.engine.tasks.gaussian_norm import probability_beyond, size_without_error
 from calibration.engine.tasks.task_errors import TaskError
 
 GROSS_DEVIATIONS: Mapping[str, tuple[float, str]] = {
@@ -162,12 +162,12 @@ def _finding_on_suspect(
         _largest_moves(calibration, _moves_after(calibration, suspect)),
     )
     moved = {name: _larger_of_each(before[name], after[name]) for name in before}
+    unsure, sure = _unsure_of_few_views(calibration, suspect, limits), _sure_moves(calibration, suspect)
     for name, turn in _turns_by_zoom(calibration, suspect).items():
         if name in moved:  # else it is the sensor that is held
-            moved[name] = _larger_of_each(moved[name], (0.0, turn))
-    unsure, sigmas = _unsure_of_few_views(calibration, suspect, limits), _sigmas_of_moves(calibration, suspect)
+            moved[name], sure[name] = (_larger_of_each(of[name], (0.0, turn)) for of in (moved, sure))
     limit_of = {name: allowed(calibration, limits, name) for name in moved}
-    over = [name for name, size in moved.items() if limit_of[name].exceeded(*map(_beyond_error, size, sigmas[name]))]
+    over = [name for name in moved if limit_of[name].exceeded(*sure[name])]
     is_red = bool(over)
     if not over:  # the estimate, or where few views tell its guard band, may reach over the limit
         over = [
@@ -288,9 +288,23 @@ def _turns_by_zoom(calibration: Calibration, suspect: Suspect) -> dict[str, floa
     return {name: float(np.degrees(abs(suspect.value[0]) * slope / (1 + slope**2))) for name, slope in slopes.items()}
 
 
-def _beyond_error(size: float, sigma: float) -> float:
-    """Return the size of a vector without what its error makes it longer: ``E |x + e|^2 = |x|^2 + sigma^2``."""
-    return float(np.sqrt(max(0.0, size**2 - sigma**2)))
+def _sure_moves(calibration: Calibration, suspect: Suspect) -> dict[str, tuple[float, float]]:
+    """Return what a suspect moves each sensor or joint by, mm and degrees, without what its error makes it longer."""
+    setup = calibration.solution.setup
+    at = setup.problem.shared_parameters
+
+    def sure(by: Array, name: str) -> tuple[float, float]:
+        block, units = block_of(calibration, name)
+        lengths = np.array(units) == SENSOR_UNITS[0]
+        mm, rad = (
+            size_without_error(by[at[block]][own] @ suspect.value, by[at[block]][own] @ suspect.errors)
+            for own in (lengths, ~lengths)
+        )
+        return 1e3 * mm, float(np.degrees(rad))
+
+    ways = suspect.moved_by, _moved_after(calibration, suspect)
+    names = _largest_moves(calibration, suspect.moves)
+    return {name: _larger_of_each(sure(ways[0], name), sure(ways[1], name)) for name in names}
 
 
 def _larger_of_each(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:

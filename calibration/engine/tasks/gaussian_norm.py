@@ -38,6 +38,15 @@ def probability_beyond(S: Array, limit: float) -> Array:
     return np.maximum(0.0, 1 - _probability_within(np.full(len(S), limit), sizes, weights)[0])
 
 
+def size_without_error(x: Array, errors: Array) -> float:
+    """Return the size of an estimate x (k,) without what its independent errors (k, r) make it longer.
+
+    Along each axis of their covariance ``E (x + e)^2 = x^2 + sigma^2``; what is left of a square is not negative.
+    """
+    variances, axes = np.linalg.eigh(errors @ errors.T)
+    return float(np.sqrt(np.maximum(0.0, (axes.T @ x) ** 2 - variances).sum()))
+
+
 def _probability_within(x: Array, sizes: Array, weights: Array) -> tuple[Array, Array]:
     """Return the probability (n,) of an error up to x (n,), and its derivative."""
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -17,7 +17,7 @@ from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.estimation.covariance.error_bars import ErrorSource, SourceKind
 from calibration.engine.estimation.covariance.result import Calibration, Solution
-from calibration.engine.tasks.gaussian_norm import quantile_of_norm
+from calibration.engine.tasks.gaussian_norm import quantile_of_norm, size_without_error
 from calibration.engine.tasks.placed_task import PlacedTask, place_task, task_jacobian
 from calibration.engine.tasks.robot_task import RobotTask
 
@@ -76,12 +76,11 @@ class TaskError:
     def largest_change(self, changes: Array, errors: Array | None = None) -> float:
         """Return how far changes (C,) of all parameters, calibrated and held, move it at the worst point for them.
 
-        Without what their independent errors (C, r) make it longer: ``E |x + e|^2 = |x|^2 + E |e|^2``.
+        Without what their independent errors (C, r) make it longer, if they are given.
         """
         sizes = np.linalg.norm(self.jacobian @ changes, axis=1)
-        worst = int(sizes.argmax())
-        by_error = 0.0 if errors is None else np.linalg.norm(self.jacobian[worst] @ errors)
-        return float(np.sqrt(max(0.0, sizes[worst] ** 2 - by_error**2)))
+        J = self.jacobian[int(sizes.argmax())]
+        return float(sizes.max()) if errors is None else size_without_error(J @ changes, J @ errors)
 
 
 def task_errors(calibration: Calibration, tasks: Sequence[RobotTask]) -> list[TaskError]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.engine.tasks.gaussian_norm import probability_beyond, quantile_of_norm
+from calibration.engine.tasks.gaussian_norm import probability_beyond, quantile_of_norm, size_without_error
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,10 @@ def test_nothing_that_errs_is_exact() -> None:
     """Zero, no NaN."""
     assert quantile_of_norm(np.zeros((2, 3, 3)), 0.95).tolist() == [0, 0]
     assert probability_beyond(np.zeros((1, 3, 3)), 1.0)[0] == pytest.approx(0, abs=1e-9)
+
+
+def test_an_estimate_is_shorter_without_its_error_along_each_axis() -> None:
+    """A size in a direction that is known stays, that in one that is not is none."""
+    errors = np.diag([0.1, 10.0, 0.0])
+    assert size_without_error(np.array([3.0, 6.0, 4.0]), errors) == pytest.approx(np.sqrt(25 - 0.01))
+    assert size_without_error(np.array([0.05, 6.0, 0.0]), errors) == 0
