@@ -193,8 +193,8 @@ def colour_of(result: CellResult) -> Colour:
 
 
 def fits_as_well(case: Case, cost: float) -> bool:
-    """Whether an arm that is not as it is described costs no more than the described one would, with the same noise."""
-    return case.planted.group == "arm" and cost - _clean_cost(case.stratum, case.system, case.seed) < AS_WELL
+    """Whether an arm that is not as it is described costs what the described one would, with the same noise."""
+    return case.planted.group == "arm" and abs(cost - _clean_cost(case.stratum, case.system, case.seed)) < AS_WELL
 
 
 @cache
