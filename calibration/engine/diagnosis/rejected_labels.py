@@ -12,7 +12,6 @@ from calibration.engine.diagnosis.limits import Limits, allowed, limit_in_labels
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.covariance.suspects import Suspect
 from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
-from calibration.engine.estimation.start.wrong_views import MAX_WRONG_SHARE
 
 MIN_WARNING_SHARE, MIN_RED_SHARE = 0.01, 0.05
 """Shares of all labels."""
@@ -30,6 +29,8 @@ standard deviations, which the robust loss handles.
 """
 MAX_NAMED_COLLECTIONS = 5
 """Number of collections that a message names."""
+MIN_RED_SHARE_OF_WRONG_VIEWS = 0.25
+"""Share of a sensor's views that is a failure: so many are no accidents, whatever the rest says."""
 MIN_VIEWS_OF_NO_MOVE, MIN_RATIO_OF_NO_MOVE = 3, 3.0
 """Views at an end of the recording that are wrong by so different turns and distances are not those of one move."""
 USUAL_CAUSE = "image and pose of different moments?"
@@ -231,5 +232,5 @@ def _finding_on_views(sensors: tuple[str, ...], dropped: list[DroppedView], view
         f"{what}, by up to {mm:.4g} mm and {degrees:.3g} deg, left out: {either} "
         f"Record these collections again, at standstill"
     )
-    severity: Severity = "red" if share > MAX_WRONG_SHARE or moved else "warning"
+    severity: Severity = "red" if share > MIN_RED_SHARE_OF_WRONG_VIEWS or moved else "warning"
     return Finding("wrong-views", severity, text, sensors, collections, share, unit="1")
