@@ -18,12 +18,12 @@ _FOLDER = "calibration.addons"
 
 
 class LazyCommand(NamedTuple):
-    """A command whose module is imported when it is called."""
+    """A command, or an option of one, whose module is imported when it is called."""
 
     target: str
-    """``module:attribute`` of the click command."""
+    """``module:attribute`` of the click command, or of the function."""
     help: str
-    """One-line description for the list of commands, kept here so that ``--help`` imports no command."""
+    """One-line description, kept here so that ``--help`` imports no command."""
 
 
 class DocumentSection(NamedTuple):
@@ -86,6 +86,9 @@ class Addon:
     registry_logins: Mapping[str, str] = field(default_factory=dict)
     """``module:function`` that gets the credentials of a kind of registry (``registry: {kind: ...}``)."""
     schemas: Mapping[str, SchemaFile] = field(default_factory=dict)
+    keeps: Mapping[str, LazyCommand] = field(default_factory=dict)
+    """Options of ``accept`` that are given several times, by name: a function of their values and the `AcceptedSystems`
+    (`calibration.pipeline.baselines`), which returns the content of files to be kept with the baseline, by path."""
     watches: Mapping[str, str] = field(default_factory=dict)
     """``module:function`` that returns the watch of a collection's containers (`calibration.ci.execution.supervision`),
     by the section of calibration.yml that it is given, with the name of the collection and the port of rosbridge."""

@@ -1,7 +1,7 @@
 """Baselines of a run: its commit, the accepted calibrations that it is compared with, and accepting its results."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.base.errors import CalibrationError, InputError
@@ -131,6 +131,18 @@ def commit_of_run(folder: Path, environment: Mapping[str, str]) -> CommitOfRun |
     if commit is None:
         return None
     return CommitOfRun(branch or commit.hash, commit.date)
+
+
+@dataclass(frozen=True)
+class AcceptedSystems:
+    """Accepted calibrations, for add-ons that keep something with them."""
+
+    file: Path
+    """The baseline's."""
+    baseline: Baseline
+    """With them."""
+    datasets: Mapping[str, Path]
+    """Dataset of each accepted system."""
 
 
 ABOUT_THE_BASELINE: tuple[FindingKind, ...] = ("baseline", "baseline-quality", "no-baseline")
