@@ -48,6 +48,7 @@ ACTIONS = {
     "coverage-upload": ("coverage-upload/main.py", "coverage.txt"),
     "static-analysis": ("static-analysis/main.py", "analysis.txt"),
     "check-messages": ("check-messages/main.py", "run.txt"),
+    "check": ("check/main.py", "run.txt"),
     "test-image": ("test-image/main.py", "calibrate.txt"),
     "bundle": ("bundle/main.py", "run.txt"),
     "deliver": ("deliver/main.py", "run.txt"),

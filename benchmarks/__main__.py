@@ -40,6 +40,7 @@ MODULES = {
     "importing": "imports of bags: images and bytes a second, memory; what init makes of datasets",
     "image_tests": "tests in the image: workspaces of examples/, green and with planted failures",
     "delivery": "changed bundles that are accepted, and how long a robot takes to verify one",
+    "guard": "fixed cameras that have moved: false red, planted shifts, what cannot be told, time",
     "messages": "requirements over messages: a bag of 1 GB, HPL against tables and a naive evaluator",
     "aprilgrid": "aprilgrids in simulated images: near the truth, and no tag for another",
     "next_pose": "next poses: what is promised and reached, how many a limit takes, time",

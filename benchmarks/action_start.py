@@ -19,6 +19,7 @@ INPUTS = {
     "deliver": {"INPUT_CONFIG": "nowhere.yml", "INPUT_FOLDER": "nowhere"},
     "calibrate-matrix": {"INPUT_DATASET": "nowhere"},
     "check-messages": {"INPUT_CONFIG": "nowhere.yml"},
+    "check": {"INPUT_BASELINE": "nowhere.json"},
     "test-image": {"INPUT_IMAGE": "nowhere"},
     "collect-data-sim": {"INPUT_SYSTEM": "nowhere", "INPUT_OUTPUT": "nowhere/output"},
     "comment": {"INPUT_RESULTS": "nowhere"},

@@ -7,6 +7,7 @@ what it brings (`calibration.base.addons`), so that its folder can be deleted an
 - ``aws_batch``: jobs of containers on AWS Batch, images in ECR;
 - ``coverage``: tests measured, reports read, compared with limits, sent to a service;
 - ``delivery``: a bundle of accepted calibrations, signed, and a check of it on the robot;
+- ``guard``: whether a sensor has moved since it was accepted, by an ordinary recording;
 - ``recorder``: the page on which a motion is recorded;
 - ``requirements``: requirements over messages, judged over a bag;
 - ``rigel``: Rigelfiles, read to be converted.

@@ -79,7 +79,7 @@ def test_pages_show_every_key_of_the_configuration_and_of_an_import() -> None:
 def test_the_page_of_results_shows_keys_that_exist() -> None:
     page = (PROJECT / "docs" / "results-json.md").read_text()
     sections = [section for section in page.split("\n## ")[1:] if "\nSchema: " in section]
-    assert len(sections) == 13
+    assert len(sections) == 14
     for section in sections:
         [name] = re.findall(r"^Schema: \[`(.*)`\]", section, re.MULTILINE)
         assert f"(../{schema_file(name).relative_to(PROJECT).as_posix()})" in section

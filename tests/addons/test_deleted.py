@@ -30,7 +30,7 @@ for name in SHIPPED_SCHEMAS:
 
 
 def test_every_folder_is_found() -> None:
-    assert len(ADDONS) == 8
+    assert len(ADDONS) == 9
     assert list(installed_addons()) == [import_attribute(f"calibration.addons.{name}:ADDON") for name in ADDONS]
 
 

@@ -1,0 +1,111 @@
+"""What is checked: the accepted calibrations, their reference and a recording; and the methods that check it."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.addons.guard.fixed_check import METHOD, check_fixed_camera
+from calibration.addons.guard.outcome import SensorCheck
+from calibration.addons.guard.recording import CameraImages, camera_named, no_such_camera, open_recordings
+from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
+from calibration.base.errors import InputError
+from calibration.base.text import did_you_mean
+from calibration.engine.baseline.calibration_document import CalibrationDocument
+from calibration.engine.baseline.document import read_baseline
+
+
+@dataclass(frozen=True, eq=False)
+class Guarded:
+    """A system, and a recording of it."""
+
+    name: str
+    accepted: CalibrationDocument
+    kept: tuple[KeptCamera, ...]
+    """What its fixed cameras saw when it was accepted."""
+    recordings: tuple[str, ...]
+    """As they were given, see `open_recordings`."""
+    cameras: dict[str, CameraImages]
+    """Images in them, by the names that they have there."""
+
+
+Method = Callable[[Guarded], Iterable[SensorCheck]]
+"""Checks the sensors of a system of which it can tell something; raises an `InputError` for a wrong recording."""
+
+
+def fixed_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
+    """Check the cameras that have a reference.
+
+    Raises:
+        InputError: the recording lacks one, or has images of another size, or the reference is of another calibration.
+    """
+    for kept in guarded.kept:
+        images = camera_named(guarded.cameras, kept.sensor, kept.place, len(guarded.kept))
+        if images is None:
+            raise InputError(f"{guarded.recordings[0]}: {no_such_camera(guarded.cameras, kept.sensor)}")
+        yield check_fixed_camera(kept, images)
+
+
+METHODS: tuple[Method, ...] = (fixed_cameras,)
+"""Of several that check a sensor the first counts."""
+
+
+def guarded_systems(baseline: Path, recordings: Sequence[str], systems: Sequence[str], rate: float) -> list[Guarded]:
+    """Read what is checked.
+
+    Args:
+        baseline: file of the accepted calibrations, with the reference beside it.
+        recordings: bags, videos, folders of images.
+        systems: only these; empty for all.
+        rate: images a second of folders of images.
+
+    Raises:
+        InputError: a file or a recording cannot be read, or the reference is of another calibration.
+    """
+    accepted = read_baseline(baseline)
+    if accepted is None:
+        raise InputError(f"{baseline}: found no such file, expected accepted calibrations: calibration accept")
+    for name in systems:
+        if name not in accepted.systems:
+            near, known = did_you_mean(name, accepted.systems), ", ".join(accepted.systems)
+            raise InputError(f"{baseline}: found no system '{name}'{near} (found: {known})")
+    path = baseline.with_name(REFERENCE_FILE)
+    reference = read_reference(path)
+    kept = reference.cameras if reference else ()
+    for each in kept:
+        own = accepted.systems.get(each.system)
+        if own is None or own.data != each.data:
+            what = "is not in the baseline" if own is None else "has been accepted anew since"
+            raise InputError(
+                f"{path}: '{each.sensor}' of '{each.system}' {what}, expected a reference of what is accepted: "
+                "calibration accept --reference"
+            )
+    if not recordings:
+        raise InputError("found no recording, expected a bag, a video or a folder of images")
+    cameras = open_recordings(recordings, rate)
+    return [
+        Guarded(name, document, tuple(each for each in kept if each.system == name), tuple(recordings), cameras)
+        for name, document in accepted.systems.items()
+        if not systems or name in systems
+    ]
+
+
+def check_systems(guarded: Sequence[Guarded], baseline: Path) -> dict[str, tuple[SensorCheck, ...]]:
+    """Check the sensors of systems, by system; of those that no method can check, nothing is said.
+
+    Raises:
+        InputError: a recording is wrong, or no method can check any sensor.
+    """
+    found: dict[str, tuple[SensorCheck, ...]] = {}
+    for system in guarded:
+        checks: dict[str, SensorCheck] = {}
+        for method in METHODS:
+            for check in method(system):
+                checks.setdefault(check.sensor, check)
+        if checks:
+            found[system.name] = tuple(checks.values())
+    if not found:
+        raise InputError(
+            f"{baseline.with_name(REFERENCE_FILE)}: found no reference of a camera, expected one that is kept where "
+            f"nothing moves: calibration accept --reference RECORDING (method: {METHOD})"
+        )
+    return found
