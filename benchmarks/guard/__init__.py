@@ -12,6 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from benchmarks.guard import witnessed
 from benchmarks.guard.clips import Clip, Displacement, Disturbances, Room, as_recorded, camera_of_room
 from benchmarks.rows import Bar, Row
 from calibration.addons.guard.fixed_check import check_fixed_camera
@@ -66,6 +67,7 @@ def measure(quick: bool) -> Iterator[Row]:
     note = "black, bare, another room, all moves, a camera that is waved, one that is covered"
     yield Row("guard/fixed/cannot tell, said so", 100 * (1 - len(told) / untold), "%", Bar(low=100), note)
     yield from _time_of_two_minutes()
+    yield from witnessed.measure(quick)
 
 
 def reference_of(room: Room, seed: int) -> KeptCamera:

@@ -6,8 +6,16 @@ from pathlib import Path
 
 from calibration.addons.guard.fixed_check import METHOD, check_fixed_camera
 from calibration.addons.guard.outcome import SensorCheck
-from calibration.addons.guard.recording import CameraImages, camera_named, no_such_camera, open_recordings
+from calibration.addons.guard.recording import (
+    CameraImages,
+    camera_named,
+    is_bag,
+    no_such_camera,
+    open_recordings,
+    path_of_recording,
+)
 from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
+from calibration.addons.guard.witness.moving_frames import checks_of_bag
 from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean
 from calibration.engine.baseline.calibration_document import CalibrationDocument
@@ -45,7 +53,19 @@ def fixed_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
         yield check_fixed_camera(kept, images)
 
 
-METHODS: tuple[Method, ...] = (fixed_cameras,)
+def moving_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
+    """Check the cameras of bags that have no reference, by the motion that carries them, or by each other.
+
+    Raises:
+        InputError: a bag cannot be read.
+    """
+    kept = [each.sensor for each in guarded.kept]
+    for path in map(path_of_recording, guarded.recordings):
+        if is_bag(path):
+            yield from checks_of_bag(path, guarded.accepted, kept)
+
+
+METHODS: tuple[Method, ...] = (fixed_cameras, moving_cameras)
 """Of several that check a sensor the first counts."""
 
 

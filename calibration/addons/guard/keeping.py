@@ -41,7 +41,7 @@ def kept_references(recordings: Sequence[str], accepted: AcceptedSystems) -> dic
         InputError: a recording cannot be read, or a camera moves in it, or none of the cameras is in it.
     """
     cameras = {
-        (system, name): _accepted_camera(camera, accepted.baseline.systems[system], name)
+        (system, name): accepted_camera(camera, accepted.baseline.systems[system], name)
         for system, dataset in accepted.datasets.items()
         for name, sensor in read_dataset(dataset).sensors.items()
         if (camera := sensor.camera) is not None
@@ -57,7 +57,7 @@ def kept_references(recordings: Sequence[str], accepted: AcceptedSystems) -> dic
     return {path: (read_reference(path) or Reference(1, ())).updated(tuple(kept)).text}
 
 
-def _accepted_camera(camera: Camera, accepted: CalibrationDocument, name: str) -> Camera:
+def accepted_camera(camera: Camera, accepted: CalibrationDocument, name: str) -> Camera:
     """Return a camera with its accepted intrinsics, if these were calibrated."""
     if (lens := accepted.lens(name)) is None:
         return camera

@@ -83,8 +83,19 @@ def no_such_camera(cameras: Mapping[str, CameraImages], sensor: str) -> str:
     return f"found no images of '{sensor}', only of {known}: name it, '{sensor}=PATH'"
 
 
+def path_of_recording(value: str) -> Path:
+    """Return the path of a recording, which may be after the name of a sensor."""
+    place = value.partition("=")[2]
+    return Path(place) if place and not Path(value).exists() else Path(value)
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is a bag."""
+    return path.suffix.lower() in BAG_ENDINGS or (path / "metadata.yaml").is_file()
+
+
 def _cameras_at(path: Path, rate: float) -> dict[str, CameraImages]:
-    if path.suffix.lower() in BAG_ENDINGS or (path / "metadata.yaml").is_file():
+    if is_bag(path):
         with open_bag([path]) as bag:
             cameras = cameras_of(bag)
             if not cameras:

@@ -1,0 +1,8 @@
+"""Sensors that move, held against a witness: the motion of an arm or a base, or a second camera.
+
+- ``tracks``: points of the scene, found again from image to image;
+- ``bundle``: scene points and poses by least squares, and what the images alone say of each pose;
+- ``displacement``: the test of the accepted mount against a free one, and the moment from which on it moved;
+- ``moving_frames``: where the link of a sensor was, over a recording;
+- ``checks``: what the command calls.
+"""

@@ -1,0 +1,190 @@
+"""What a recording says of cameras that move: by the motion that carries them, and by each other."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calibration.addons.guard.features import Features
+from calibration.addons.guard.outcome import (
+    MAX_FALSE_ALARM,
+    SCORE_OF_POWER,
+    SensorCheck,
+    direction_in_words,
+    smallest_seen,
+)
+from calibration.addons.guard.witness.bundle import Observations, evidence_of
+from calibration.addons.guard.witness.displacement import Displacement, displacement_of
+from calibration.addons.guard.witness.tracks import matched_pairs, tracked_scene
+from calibration.base.arrays import Array
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import distance, inverse, inverse_adjoint
+
+MIN_IMAGES = 8
+"""Images of a camera, or of two at the same moments."""
+MIN_FEATURES = 40
+"""Features of the middle one of the images."""
+MIN_POINTS = 40
+"""Scene points that fit."""
+MIN_MOTION_M, MIN_MOTION_RAD = 0.02, 0.03
+"""m and rad: from the first pose to the farthest; a camera that moves less stood still."""
+MAX_UNSEEN_DEG, MAX_UNSEEN_MM = 1.0, 30.0
+"""Smallest displacements from which on a recording says nothing of the rotation or the translation."""
+MAX_POSE_NOISE_M, MAX_POSE_NOISE_RAD = 0.01, 0.01
+"""m and rad: by what most poses may err, as the images say, for these to be a witness."""
+MIN_SCORE = 3.0
+"""Standard deviations from which on a rotation or a translation is named."""
+RIGID_NOISE = (1e-5, 1e-5)
+"""m and rad: least standard deviations of the pose of a camera on a body."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovingCamera:
+    """A camera with what it saw, and where the link that carries it was."""
+
+    name: str
+    camera: Camera
+    """With the accepted lens."""
+    lens_sigmas: Array
+    """(3,): standard deviations of the relative focal length, and of the principal point in focal lengths."""
+    T_link_camera: Array
+    """(4, 4): accepted."""
+    covariance: Array
+    """(6, 6): of it, as a twist in its frame; m and rad."""
+    times: Array
+    """(K,): s, rising."""
+    features: Sequence[Features]
+    """Of the K images."""
+    T_root_link: Array
+    """(K, 4, 4): all the same of a link that stands."""
+    velocities: Array
+    """(K, 6): twists of the link in its own frame, m/s and rad/s."""
+
+
+def check_by_motion(seen: MovingCamera, pose_noise: tuple[float, float]) -> SensorCheck:
+    """Return whether a camera is where it was accepted, by the motion of the link that carries it.
+
+    Args:
+        seen: the camera.
+        pose_noise: m and rad, least standard deviations of the link's poses.
+    """
+    answer = _Answer(seen.name, "the motion of what carries it", seen.times)
+    if fault := _fault_of_images(seen):
+        return answer.cannot_tell(fault)
+    m, rad = distance(seen.T_root_link[0], seen.T_root_link)
+    if m.max() < MIN_MOTION_M and rad.max() < MIN_MOTION_RAD:
+        return answer.cannot_tell(f"it moved by {1e3 * m.max():.1f} mm and {np.degrees(rad.max()):.1f} degrees only")
+    observations = tracked_scene(seen.features, seen.camera, seen.T_root_link @ seen.T_link_camera)
+    return answer.of(observations, seen, seen.covariance, pose_noise)
+
+
+def check_by_each_other(one: MovingCamera, other: MovingCamera) -> SensorCheck:
+    """Return whether the second of two cameras is where it was accepted relative to the first.
+
+    Both have images of the same K moments, and links that do not move relative to each other. Without the distance of
+    anything, a translation along the line between them cannot be told.
+    """
+    answer = _Answer(other.name, f"what {one.name} sees too", other.times)
+    if fault := _fault_of_images(one) or _fault_of_images(other):
+        return answer.cannot_tell(fault)
+    T = inverse(one.T_root_link[0] @ one.T_link_camera) @ other.T_root_link[0] @ other.T_link_camera
+    observations = matched_pairs(one.features, other.features, (one.camera, other.camera), T)
+    to_other = inverse_adjoint(T)
+    return answer.of(observations, other, other.covariance + to_other @ one.covariance @ to_other.T, RIGID_NOISE)
+
+
+def _fault_of_images(seen: MovingCamera) -> str:
+    """Return why images say nothing; empty if they may."""
+    if len(seen.features) < MIN_IMAGES:
+        return f"found {len(seen.features)} usable images of {seen.name}, expected {MIN_IMAGES}"
+    middle = int(np.median([len(each) for each in seen.features]))
+    if middle < MIN_FEATURES:
+        return f"{seen.name} sees too little texture: found {middle} features in an image, expected {MIN_FEATURES}"
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """Answer about one sensor."""
+
+    sensor: str
+    method: str
+    times: Array
+
+    def cannot_tell(self, reason: str) -> SensorCheck:
+        return SensorCheck(
+            sensor=self.sensor, method=self.method, outcome="cannot-tell", reason=reason, images=len(self.times)
+        )
+
+    def of(
+        self, observations: Observations, seen: MovingCamera, accepted: Array, pose_noise: tuple[float, float]
+    ) -> SensorCheck:
+        evidence = evidence_of(observations, seen.lens_sigmas) if len(observations.views) else None
+        points = 0 if evidence is None else len(evidence.observations.clusters)
+        if evidence is None or len(np.unique(evidence.observations.points)) < MIN_POINTS:
+            return self.cannot_tell(f"found {points} points that stand still in a scene, expected {MIN_POINTS}")
+        velocities = seen.velocities @ inverse_adjoint(seen.T_link_camera).T
+        found = displacement_of(evidence, velocities, pose_noise, seen.lens_sigmas, accepted)
+        m, rad = found.pose_noise
+        if m > MAX_POSE_NOISE_M or rad > MAX_POSE_NOISE_RAD:
+            off = f"{1e3 * m:.0f} mm and {np.degrees(rad):.1f} degrees"
+            return self.cannot_tell(
+                f"images and poses differ by {off} from image to image: does the scene move, or a clock?"
+            )
+        C = found.covariance
+        unseen = [
+            scale * smallest_seen(C, part, found.limit) for scale, part in ((1e3, slice(3)), (180 / np.pi, slice(3, 6)))
+        ]
+        sigmas = np.sqrt(np.diag(C))
+        tells_rotation, tells_translation = unseen[1] <= MAX_UNSEEN_DEG, unseen[0] <= MAX_UNSEEN_MM
+        moved = found.p < MAX_FALSE_ALARM
+        outcome: Literal["moved", "unmoved", "cannot-tell"] = "moved" if moved else "unmoved"
+        if not moved and not tells_rotation:
+            outcome = "cannot-tell"
+        since = None
+        if moved and found.begin:
+            since = float(self.times[found.begin - 1 : found.begin + 1].mean() - self.times[0])
+        shown = tells_translation or (moved and (abs(found.twist[:3]) > MIN_SCORE * sigmas[:3]).any())
+        return SensorCheck(
+            sensor=self.sensor,
+            method=self.method,
+            outcome=outcome,
+            reason=_reason(outcome, found, unseen, since),
+            since=since,
+            rotation_deg=tuple(np.degrees(found.twist[3:]).round(4).tolist()),
+            rotation_sigma_deg=tuple(np.degrees(sigmas[3:]).round(4).tolist()),
+            translation_mm=tuple((1e3 * found.twist[:3]).round(3).tolist()) if shown else None,
+            translation_sigma_mm=tuple((1e3 * sigmas[:3]).round(3).tolist()) if shown else None,
+            p=found.p,
+            unseen_deg=round(unseen[1], 4) if tells_rotation else None,
+            unseen_mm=round(unseen[0], 3) if tells_translation else None,
+            images=len(self.times),
+        )
+
+
+def _reason(outcome: str, found: Displacement, unseen: list[float], since: float | None) -> str:
+    """Return in one sentence what was found, or what cannot be."""
+    sigmas, (mm, deg) = np.sqrt(np.diag(found.covariance)), unseen
+    score = math.sqrt(found.limit) + SCORE_OF_POWER
+    untold = score * sigmas > np.repeat([1e-3 * MAX_UNSEEN_MM, math.radians(MAX_UNSEEN_DEG)], 3)
+    shifts, turns = (" and ".join(np.array(list("xyz"))[part]) or "some line" for part in (untold[:3], untold[3:]))
+    if outcome == "cannot-tell":
+        return (
+            f"a turn about {turns} of less than {deg:.1f} degrees would go unseen: too little motion, or too few points"
+        )
+    unknown = f"; a shift along {shifts} cannot be told here" if mm > MAX_UNSEEN_MM else ""
+    if outcome == "unmoved":
+        shift = "" if unknown else f" or a shift of {mm:.1f} mm"
+        return f"a turn of {deg:.2f} degrees{shift} would be seen in 99 %{unknown}"
+    shifted, turned = found.twist[:3], found.twist[3:]
+    parts = []
+    if (abs(turned) > MIN_SCORE * sigmas[3:]).any():
+        words = direction_in_words(np.degrees(turned).tolist(), is_camera=True)
+        parts.append(f"turned by {np.degrees(np.linalg.norm(turned)):.2f} degrees {words}")
+    if (abs(shifted) > MIN_SCORE * sigmas[:3]).any():
+        axis = "xyz"[int(np.argmax(abs(shifted)))]
+        parts.append(f"shifted by {1e3 * np.linalg.norm(shifted):.1f} mm, most along {axis}")
+    when = "all along" if since is None else f"from {since:.1f} s on"
+    return f"it is {' and '.join(parts) or 'elsewhere, in a direction that is not told'}, {when}{unknown}"
