@@ -15,6 +15,7 @@ PACKAGE_OF_MODULE = {
     "cv2": ("OpenCV", "opencv-python-headless"),
     "docker": ("docker", "'calibration-ci[containers]'"),
     "hpl": ("hpl-specs", "'calibration-ci[requirements]'"),
+    "pyarrow": ("pyarrow", "'calibration-ci[lerobot]'"),
     "yaml": ("PyYAML", "pyyaml"),
     "rosbags": ("rosbags", "'calibration-ci[bags]'"),
     "websockets": ("websockets", "'calibration-ci[requirements]'"),

@@ -1,14 +1,19 @@
 """``check``: whether a sensor has moved since its calibration was accepted, by an ordinary recording."""
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import click
 
 from calibration.addons.guard.guarded import check_systems, guarded_systems
+from calibration.addons.guard.lerobot.dataset_check import card_table, check_folder
+from calibration.addons.guard.lerobot.episodes import is_dataset
+from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.results import TITLE, CheckedRecording, report
-from calibration.base.errors import ExitCode
+from calibration.base.errors import ExitCode, InputError
+from calibration.base.files import write_atomically
 from calibration.base.records import above, field, record
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner
@@ -36,6 +41,13 @@ class CheckSettings:
     undecided: Undecided = field(
         "What a sensor counts as of which the recording cannot tell: fail (exit code 1) or pass (fail).", default="fail"
     )
+    card: Path | None = field(
+        "File for a table in Markdown, for the card of a dataset of LeRobot or DROID.", default=None
+    )
+    annotate: bool = field(
+        "Whether meta/calibration.json of a dataset is written: its accepted cameras, and what was found.",
+        default=False,
+    )
     output: Path | None = field("Folder for results.json, junit.xml and summary.md.", default=None)
 
 
@@ -48,11 +60,25 @@ def check(settings: CheckSettings, runner: Runner) -> ExitCode:
     """
     if settings.output is not None:
         remove_results(settings.output, FILES)
-    guarded = guarded_systems(settings.baseline, settings.recording, settings.systems, settings.rate)
-    results = CheckedRecording(recording=settings.recording, systems=check_systems(guarded, settings.baseline))
+    results = CheckedRecording(recording=settings.recording, systems=_checked(settings))
+    if settings.card is not None:
+        write_atomically(settings.card, card_table(results.systems))
     found = report(results, settings.undecided, settings.baseline)
     publish(found, runner, settings.output)
     return found.exit_code
+
+
+def _checked(settings: CheckSettings) -> Mapping[str, tuple[SensorCheck, ...]]:
+    """Return what is said of the sensors of each system, or of each episode of a dataset."""
+    datasets = [path for each in settings.recording if is_dataset(path := Path(each))]
+    if datasets:
+        if len(settings.recording) > 1:
+            raise InputError(f"{datasets[0]}: found a dataset among other recordings, expected it alone")
+        return check_folder(datasets[0], settings.baseline, settings.annotate)
+    if settings.card is not None or settings.annotate:
+        raise InputError("found 'card' or 'annotate', expected the folder of a dataset, with meta/info.json")
+    guarded = guarded_systems(settings.baseline, settings.recording, settings.systems, settings.rate)
+    return check_systems(guarded, settings.baseline)
 
 
 @click.command(TITLE)

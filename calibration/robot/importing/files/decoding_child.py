@@ -5,6 +5,7 @@
 
 import io
 import json
+import math
 import os
 import resource
 import sys
@@ -19,6 +20,8 @@ from calibration.robot.importing.files.confined_decoding import FRAME_HEADER
 
 LOG_BYTES = 1 << 20
 """Limit of what libraries print, which goes to a file."""
+SEEK_SECONDS = 1.0
+"""s: from here on a frame is sought by its key frame; what is nearer is decoded on."""
 _CONTAINER_FORMATS = "mov,mp4,m4a,3gp,3g2,mj2,avi,matroska,webm"
 _FFMPEG_OPTIONS = f"protocol_whitelist;file|format_whitelist;{_CONTAINER_FORMATS}"
 """Of FFmpeg: no playlist, which would name other files and hosts."""
@@ -73,6 +76,59 @@ def _video_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
     return write_frames
 
 
+def _sought_video_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
+    """Return what writes the frames of a video that are shown at some times, sought from the key frames before them.
+
+    In place of the frames a second stands the length of the video, s.
+    """
+    import av
+    import av.subtitles.stream  # PyAV imports it when it opens a file, and this process reads no others then
+
+    def write_frames(request: Mapping[str, Any], output: BinaryIO) -> None:
+        with av.open(request["file"], options={"protocol_whitelist": "file"}) as container:
+            if container.format.name.split(",")[0] not in _CONTAINER_FORMATS or not container.streams.video:
+                raise ValueError("it is no mp4, avi or mkv with a video")
+            stream = container.streams.video[0]
+            if not 0 < stream.width * stream.height <= request["pixels"]:
+                raise ValueError(f"found frames of {stream.width} x {stream.height} pixels")
+            first, half = float((stream.start_time or 0) * stream.time_base), 0.5 / float(stream.average_rate or 30)
+            frames, now = container.decode(stream), -math.inf
+            seconds = (container.duration or 0) / av.time_base
+            for i, time in enumerate(request["times"]):
+                wanted = first + time - half
+                if now >= wanted:
+                    continue
+                if wanted > now + SEEK_SECONDS:
+                    container.seek(int(wanted / stream.time_base), stream=stream)
+                    frames = container.decode(stream)
+                found = next((each for each in frames if each.time is not None and each.time >= wanted), None)
+                if found is None:
+                    return
+                image, now = found.to_ndarray(format="bgr24"), found.time
+                height, width = image.shape[:2]
+                output.write(FRAME_HEADER.pack(i, now - first, seconds, width, height, 1))
+                output.write(image.tobytes())
+
+    return write_frames
+
+
+def _parquet_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
+    """Return what writes columns of a file of parquet, as a JSON document of lists by name."""
+    from pyarrow import parquet
+
+    def write_columns(request: Mapping[str, Any], output: BinaryIO) -> None:
+        file = parquet.ParquetFile(request["file"])
+        names = file.schema_arrow.names
+        if missing := [each for each in request["columns"] if each not in names]:
+            raise ValueError(f"found no column '{missing[0]}', only {', '.join(names)}")
+        if (rows := file.metadata.num_rows) > request["rows"]:
+            raise ValueError(f"found {rows} rows, expected {request['rows']} at most")
+        table = file.read(columns=request["columns"], use_threads=False).to_pydict()
+        output.write(json.dumps(table, default=str).encode())
+
+    return write_columns
+
+
 def _laz_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
     """Return what writes the points (N, 3) of a LAZ file, as float64."""
     import laspy
@@ -86,4 +142,9 @@ def _laz_decoder() -> Callable[[Mapping[str, Any], BinaryIO], None]:
     return write_points
 
 
-_DECODER_OF_KIND = {"video": _video_decoder, "laz": _laz_decoder}
+_DECODER_OF_KIND = {
+    "video": _video_decoder,
+    "sought-video": _sought_video_decoder,
+    "parquet": _parquet_decoder,
+    "laz": _laz_decoder,
+}

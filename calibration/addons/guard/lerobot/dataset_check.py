@@ -1,0 +1,208 @@
+"""Whether the cameras of a dataset stay where they are: one answer a camera and episode, and a table for its card."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from calibration.addons.guard.features import find_features
+from calibration.addons.guard.fixed_check import check_fixed_camera
+from calibration.addons.guard.keeping import kept_camera
+from calibration.addons.guard.lerobot.dataset_calibration import (
+    FILE,
+    DatasetCalibration,
+    DatasetCamera,
+    camera_of_dataset,
+    read_dataset_calibration,
+    write_dataset_calibration,
+)
+from calibration.addons.guard.lerobot.episodes import Episode, EpisodeVideo, episodes_of
+from calibration.addons.guard.lerobot.frames import SoughtFrame, frames_at
+from calibration.addons.guard.outcome import SensorCheck
+from calibration.addons.guard.recording import CameraImages
+from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
+from calibration.addons.guard.witness.checks import MovingCamera, check_by_motion
+from calibration.addons.guard.witness.moving_frames import IMAGE_STEP, LENS_SIGMAS, MAX_IMAGES, POSE_NOISE
+from calibration.base.arrays import Array
+from calibration.base.errors import InputError
+from calibration.engine.baseline.document import read_baseline
+from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.rotations import from_quaternion, from_rpy
+from calibration.engine.geometry.transforms import local, transform
+from calibration.robot.labelling.detection import Image
+
+MAX_EPISODES = 500
+"""Episodes that are looked at, evenly chosen."""
+IMAGES_OF_EPISODE = 8
+"""Images of a fixed camera in an episode that are looked at first."""
+LONGEST_SECONDS = 3600.0
+"""s: an episode whose video says no length is looked at up to here."""
+FOCAL_OF_WIDTH = 0.9
+"""Focal length of a camera of which nobody knows it, in widths of its image: 58 degrees of view."""
+NO_DATA = "0" * 64
+
+
+def check_dataset(
+    folder: Path,
+    known: DatasetCalibration,
+    kept: Sequence[KeptCamera],
+) -> dict[str, tuple[SensorCheck, ...]]:
+    """Check the cameras of each episode, by the name of the episode.
+
+    A fixed camera is compared with its accepted reference, else with what it saw in the first episode; one that is
+    carried is checked by the motion that its column of poses says.
+
+    Args:
+        folder: of the dataset.
+        known: what ``meta/calibration.json`` says of its cameras.
+        kept: references of accepted cameras.
+
+    Raises:
+        InputError: the dataset cannot be read.
+        InfrastructureError: a library is not installed.
+    """
+    references: dict[str, KeptCamera | str] = {}
+    found: dict[str, tuple[SensorCheck, ...]] = {}
+    for episode in episodes_of(folder, MAX_EPISODES):
+        checks = []
+        for key, video in episode.videos.items():
+            camera = known.cameras.get(key)
+            if camera is not None and camera.pose_column is not None:
+                checks.append(_check_carried(key, camera, episode, video))
+                continue
+            if key not in references:
+                references[key] = _reference(key, kept, camera, video)
+            reference = references[key]
+            if isinstance(reference, str):
+                checks.append(_untold(key, reference))
+            else:
+                checks.append(replace(check_fixed_camera(reference, _images_of_episode(video)), sensor=key))
+        found[episode.name] = tuple(checks)
+    return found
+
+
+def check_folder(folder: Path, baseline: Path, annotate: bool) -> dict[str, tuple[SensorCheck, ...]]:
+    """Check a dataset by what is accepted of its cameras, if anything is.
+
+    Args:
+        folder: of the dataset.
+        baseline: file of the accepted calibrations, with the reference beside it; either may be absent.
+        annotate: whether what is accepted, and what was found, is written into the dataset.
+
+    Raises:
+        InputError: a file or the dataset cannot be read.
+        InfrastructureError: a library is not installed, or a file cannot be written.
+    """
+    known, reference = read_dataset_calibration(folder / FILE), read_reference(baseline.with_name(REFERENCE_FILE))
+    accepted, kept = read_baseline(baseline), reference.cameras if reference else ()
+    found = check_dataset(folder, known, kept)
+    if annotate:
+        cameras = dict(known.cameras)
+        for key in dict.fromkeys(each.sensor for checks in found.values() for each in checks):
+            for each in kept:
+                if each.sensor in _names_of_camera(key) and accepted and each.system in accepted.systems:
+                    cameras.setdefault(key, camera_of_dataset(each.sensor, each.camera, accepted.systems[each.system]))
+        write_dataset_calibration(folder, replace(known, cameras=cameras), found)
+    return found
+
+
+def card_table(checks: Mapping[str, tuple[SensorCheck, ...]]) -> str:
+    """Return a table in Markdown for the card of a dataset: a row for episodes in a row of the same outcome."""
+    lines = ["| camera | episodes | calibration | what was found |", "| --- | --- | --- | --- |"]
+    for key in dict.fromkeys(each.sensor for found in checks.values() for each in found):
+        own = [(name, each) for name, found in checks.items() for each in found if each.sensor == key]
+        for _, run in groupby(own, lambda pair: (pair[1].outcome, pair[1].outcome == "unmoved" or pair[1].reason)):
+            rows = list(run)
+            names = rows[0][0] if len(rows) == 1 else f"{rows[0][0]} to {rows[-1][0]}"
+            worst = max((each for _, each in rows), key=lambda each: each.unseen_deg or 0.0)
+            cells = (key, names, worst.outcome.replace("-", " "), worst.reason)
+            lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _untold(sensor: str, reason: str) -> SensorCheck:
+    return SensorCheck(sensor=sensor, method="the first episode", outcome="cannot-tell", reason=reason)
+
+
+def _images_of_episode(video: EpisodeVideo) -> CameraImages:
+    """Return the images of an episode; those of the same times are decoded once."""
+    seconds = video.seconds
+    if math.isinf(seconds):
+        first = next(frames_at(video.path, [0.0]), None)
+        seconds = min(first.seconds if first else 0.0, LONGEST_SECONDS)
+
+    @cache
+    def frames(first: float, last: float, most: int) -> list[SoughtFrame]:
+        times = video.begin + np.unique(np.linspace(first, min(last, seconds), most))
+        return list(frames_at(video.path, times.tolist()))
+
+    def read(first: float, last: float, most: int) -> Iterator[tuple[float, Image]]:
+        for each in frames(first, last, min(most, IMAGES_OF_EPISODE)):
+            yield each.time - video.begin, each.image
+
+    return CameraImages(str(video.path), seconds, read)
+
+
+def _reference(
+    key: str, kept: Sequence[KeptCamera], camera: DatasetCamera | None, video: EpisodeVideo
+) -> KeptCamera | str:
+    """Return what a camera saw when it was accepted, else in an episode; or why that is none."""
+    names = _names_of_camera(key) | ({camera.sensor} if camera else set())
+    if of_name := [each for each in kept if each.sensor in names]:
+        return of_name[0]
+    images = _images_of_episode(video)
+    try:
+        lens = camera.camera if camera else _nominal_camera(images)
+        return kept_camera("dataset", key, lens, images, NO_DATA)
+    except InputError as error:
+        return str(error)
+
+
+def _names_of_camera(key: str) -> set[str]:
+    """Return the names that a sensor may have in a baseline: observation.images.top is top."""
+    return {key, key.rpartition(".")[2]}
+
+
+def _nominal_camera(images: CameraImages) -> Camera:
+    for _, image in images.read(0.0, images.seconds, IMAGES_OF_EPISODE):
+        height, width = image.shape
+        focal = FOCAL_OF_WIDTH * width
+        return Camera(focal, focal, (width - 1) / 2, (height - 1) / 2, width, height)
+    raise InputError(f"{images.place}: found no image, expected a video")
+
+
+def _check_carried(key: str, camera: DatasetCamera, episode: Episode, video: EpisodeVideo) -> SensorCheck:
+    times, values = episode.column(camera.pose_column or "")
+    T = _poses_of_column(values, f"{episode.data}: {camera.pose_column}")
+    number = min(MAX_IMAGES, int((times[-1] - times[0]) / IMAGE_STEP) + 1)
+    wanted = np.linspace(times[0], times[-1], number)
+    frames = list(frames_at(video.path, (video.begin + wanted - times[0]).tolist()))
+    if any(each.image.shape != (camera.height, camera.width) for each in frames):
+        raise InputError(f"{video.path}: found no images of {camera.width} x {camera.height} pixels, as {key} has")
+    at = np.array([np.abs(times - times[0] - (each.time - video.begin)).argmin() for each in frames], int)
+    before, after = np.maximum(at - 1, 0), np.minimum(at + 1, len(times) - 1)
+    seen = MovingCamera(
+        key,
+        camera.camera,
+        LENS_SIGMAS,
+        camera.T_parent_camera,
+        camera.covariance,
+        times[at] - times[0],
+        [find_features(each.image) for each in frames],
+        T[at],
+        local(T[before], T[after]) / np.maximum(times[after] - times[before], 1e-3)[:, None],
+    )
+    return check_by_motion(seen, POSE_NOISE)
+
+
+def _poses_of_column(values: Array, where: str) -> Array:
+    """Return poses (n, 4, 4) from x, y, z and roll, pitch, yaw, or a quaternion xyzw."""
+    if values.shape[1] == 6:
+        return transform(from_rpy(values[:, 3:]), values[:, :3])
+    if values.shape[1] == 7 and (np.linalg.norm(values[:, 3:], axis=1) > 0.5).all():
+        return transform(from_quaternion(values[:, 3:]), values[:, :3])
+    raise InputError(f"{where}: found {values.shape[1]} numbers a row, expected a pose: 6, or 7 with a quaternion xyzw")
