@@ -285,7 +285,7 @@ def test_a_scenario_whose_process_dies_leaves_no_temporary_folder(
 ) -> None:
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
-    monkeypatch.setattr("calibration.robot.simulation.scenarios.run.prove", lambda _: os._exit(3))
+    monkeypatch.setattr("calibration.robot.simulation.scenarios.run.prove", lambda *_, **__: os._exit(3))
     scenarios = tmp_path / "scenarios.yml"
     scenarios.write_text("assembly: {translation_mm: {normal: [0, 3]}}\nmotion: {poses: 2}\n")
     arguments = ("--system", small, "--scenario-set", scenarios, "--scenarios", "2", "--jobs", "2")

@@ -188,7 +188,7 @@ def _lens_change(
     earlier, later = before.lens(camera), now.lens(camera)
     if earlier is None or later is None or earlier[0] != later[0]:
         return None
-    chi_squared, k = _squared_mahalanobis(later[1] - earlier[1], earlier[2] + later[2]), len(earlier[0])
+    chi_squared, k = squared_mahalanobis(later[1] - earlier[1], earlier[2] + later[2]), len(earlier[0])
     score = float(score_of_f(chi_squared / k, k, k * min(max(freedom, 1.0), MOST_FREEDOM)))
     return BaselineChange(
         name=f"{camera}'s lens",
@@ -219,10 +219,10 @@ def covariance_of_difference(before: CalibratedPose, now: CalibratedPose) -> Arr
 
 def _chi_squared(d: Array, C: Array) -> tuple[float, float]:
     """Return ``d^T C^-1 d``, and the largest standard deviation of a translation in any direction, m."""
-    return _squared_mahalanobis(d, C), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
+    return squared_mahalanobis(d, C), float(np.sqrt(np.linalg.eigvalsh(C[:3, :3])[-1]))
 
 
-def _squared_mahalanobis(d: Array, C: Array) -> float:
+def squared_mahalanobis(d: Array, C: Array) -> float:
     """Return ``d^T C^-1 d``."""
     scale = np.sqrt(np.maximum(np.diagonal(C), 1e-300))
     values, vectors = np.linalg.eigh(C / np.outer(scale, scale))

@@ -5,7 +5,7 @@ trusted: the dataset is calibrated again here.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -44,10 +44,12 @@ from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motio
 from calibration.robot.simulation.placement import Play, play
 from calibration.robot.simulation.scenarios.run import (
     calibrated_result,
+    find_driver,
     finished_result,
     pending_result,
     run_scenario,
     scenario_play,
+    world_assumptions,
 )
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
@@ -198,6 +200,17 @@ class SimulatedScenarios(Scenarios):
             found = run_tasks([work.keeping(task) for task in tasks], workers=jobs, find=work.find, done=done)
         return [Judged(result) for result in found.values()]
 
+    def drivers(self, results: Sequence[ScenarioResult], jobs: int | None) -> dict[str, str]:
+        """Return by id what drives the errors of scenarios, in local processes (`find_driver`).
+
+        Raises:
+            InfrastructureError: a file cannot be written, or a process died.
+        """
+        asked = self._motion, self._requirements
+        tasks = [Task.call(each.id, partial(find_driver, self._set, each, *asked)) for each in results]
+        with single_threaded_opencv():
+            return dict(run_tasks(tasks, workers=jobs))
+
     @property
     def _hash_of_inputs(self) -> str:
         """Return a hash of the inputs that all scenarios share."""
@@ -266,7 +279,7 @@ class SimulatedScenarios(Scenarios):
             known, poses=stored.poses, lost=stored.lost, detection=stored.detection, corner_rms_px=stored.corner_rms_px
         )
         if stored.kept > 0:
-            return Judged(calibrated_result(result, prove(new)))
+            return Judged(calibrated_result(result, prove(new, assume=world_assumptions(self._set))))
         return Judged(replace(result, reasons=stored.reasons or ("no pose gave a collection",)))
 
 

@@ -11,6 +11,8 @@ from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFold
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing
 from calibration.robot.simulation.scenarios.statistics import Statistics
 
+DRIVERS_SOUGHT = 5
+"""Number of scenarios, of those beyond their error bars, that are repeated to find what drives the error."""
 ScenariosBegin = Callable[[str, int], None]
 """Callback with the system's name and the number of scenarios, after everything was read and checked."""
 
@@ -84,4 +86,6 @@ def collect_scenarios(
         found = run_in_containers(scenarios, folder, jobs, collection.target, done)
     errors = {each.result.id: each.error for each in found if each.error is not None}
     statistics = Statistics([each.result for each in found], lost=tuple(errors))
-    return ScenarioResults(scenarios.system, request, statistics, errors)
+    worst = statistics.beyond_error_bars[:DRIVERS_SOUGHT]
+    drivers = scenarios.drivers(worst, jobs) if isinstance(scenarios, SimulatedScenarios) else {}
+    return ScenarioResults(scenarios.system, request, statistics, errors, drivers)

@@ -199,12 +199,23 @@ class ScenarioResults:
     statistics: Statistics
     errors: Mapping[str, ExitCode] = dataclass_field(default_factory=dict)
     """Scenarios that could not run, by id: bad input (2) or an infrastructure failure (3). They count as failed."""
+    drivers: Mapping[str, str] = dataclass_field(default_factory=dict)
+    """What drives the errors beyond their error bars, by scenario, where it was looked for."""
 
     @cached_property
     def failed(self) -> dict[str, list[str]]:
         """Failed scenarios by id, with the reasons."""
         checks = self.request.collection.effective_checks
         return {result.id: why for result in self.statistics.results if (why := scenario_reasons(result, checks))}
+
+    @property
+    def findings(self) -> list[str]:
+        """Scenarios whose error is beyond what is stated, worst first, with what drives it."""
+        return [
+            f"scenario {each.id}: off by {each.error_sigmas:.1f} of its stated standard deviations "
+            f"({each.translation_mm:.3g} mm); driver: {self.drivers.get(each.id, 'not looked for')}"
+            for each in self.statistics.beyond_error_bars
+        ]
 
     @property
     def success_rate(self) -> float:

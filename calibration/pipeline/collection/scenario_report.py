@@ -31,6 +31,7 @@ _HEADING_OF_MEASURE = {
     "rotation_deg": "Rotation error (deg)",
     "joint_mm": "Joint error (mm)",
     "joint_deg": "Joint error (deg)",
+    "error_sigmas": "Error (stated standard deviations)",
     "rms_px": "RMS of the reprojection (px)",
     "corner_rms_px": "Corners against the truth (px)",
 }
@@ -60,7 +61,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
         error=results.exit_code,
         sentence=f"{passed} of {results.title} pass",
         reasons=tuple(results.reasons),
-        warnings=tuple(f"{each}: {'; '.join(why)}" for each, why in results.failed.items()),
+        warnings=(*(f"{each}: {'; '.join(why)}" for each, why in results.failed.items()), *results.findings),
         notes=notes,
         blocks=(
             Text(_counts_sentence(statistics), only="summary"),
@@ -68,6 +69,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
             Text("Over the scenarios that calibrate; errors are those of the worst sensor.", only="summary"),
             *_worst_scenarios(results),
             *drivers(statistics),
+            Lines(tuple(results.findings), title="Errors beyond what is stated"),
             _reasons_of_losses(statistics),
         ),
         suites={f"scenarios of {results.system}": [_junit_outcome(results, result) for result in statistics.results]},
@@ -77,6 +79,7 @@ def report(results: ScenarioResults, output: Path) -> Report:
             "success_rate": results.success_rate,
             "failed": results.failed,
             "errors": dict(results.errors),
+            "findings": results.findings,
             **document(statistics),
         },
         outputs={
@@ -146,12 +149,13 @@ def _worst_scenarios(results: ScenarioResults) -> list[Block]:
             shown(result.translation_mm, ".3g"),
             shown(result.rotation_deg, ".2g"),
             shown(result.sigma_mm, ".3g"),
+            shown(result.error_sigmas, ".2g"),
             f"{result.kept}/{result.poses}",
             "; ".join(result.reasons) or "calibrates",
         )
         for result in worst
     )
-    header = ("Scenario", "Error (mm)", "Error (deg)", "Stated sigma (mm)", "Collections", "Outcome")
+    header = ("Scenario", "Error (mm)", "Error (deg)", "Stated sigma (mm)", "Error (sigmas)", "Collections", "Outcome")
     first = statistics.results[0].values
     names = [name for name in first if any(result.values[name] != first[name] for result in statistics.results)]
     values = tuple((name, *(f"{result.values[name]:g}" for result in worst)) for name in names)
@@ -228,6 +232,8 @@ def _csv_row(result: ScenarioResult) -> dict[str, object]:
         "joint_deg",
         "sigma_mm",
         "sigma_deg",
+        "error_sigmas",
+        "chance",
     )
     return {
         "id": result.id,

@@ -31,6 +31,8 @@ def result(index: int, error: float | None, **values: float) -> ScenarioResult:
         translation_mm=error,
         rotation_deg=None if error is None else error / 10,
         sigma_mm=None if error is None else 0.3,
+        error_sigmas=None if error is None else 1.2,
+        chance=None if error is None else 0.3,
         reasons=() if error is not None else ("no collection | has labels",),
     )
 
@@ -58,13 +60,29 @@ def test_the_report_is_complete() -> None:
     )
     assert "39 of 40 scenarios calibrate; 440 of 480 poses gave a collection." in text
     assert "| Translation error (mm) | 0.2 |" in text
-    assert "| s1-00039 | - | - | - | 11/12 | no collection &#124; has labels |" in text
-    assert "| s1-00034 | 0.834 | 0.083 | 0.3 | 11/12 | calibrates |" in text
+    assert "| s1-00039 | - | - | - | - | 11/12 | no collection &#124; has labels |" in text
+    assert "| s1-00034 | 0.834 | 0.083 | 0.3 | 1.2 | 11/12 | calibrates |" in text
     assert "| motion.sway\\_mm | 4 | 6 | " in text
     command = "calibration collect-data-sim --system t2rgb --scenario {0} --output {0}\n"
     assert f"```\n{command.format('s1-00039')}{command.format('s1-00034')}" in text
     assert "| motion.sway\\_mm | +0.9" in text
     assert "- 40: left\\_camera: 0 markers, more than 8 needed" in text
+
+
+def test_errors_that_chance_does_not_explain_are_findings() -> None:
+    far, nearly, *others = many([0.5] * 12).results
+    statistics = Statistics(
+        [replace(far, error_sigmas=9.8, chance=1e-6), replace(nearly, error_sigmas=3.0, chance=2e-4), *others]
+    )
+    request = ScenarioRequest(CollectionRequest(Path("t2rgb")), 12)
+    found = report(ScenarioResults("t2rgb", request, statistics, drivers={far.id: "motion (sway)"}), Path("out"))
+    (finding,) = found.document["findings"]  # of twelve tests, 2e-4 is chance
+    assert "s1-00000" in finding
+    assert "9.8" in finding
+    assert "motion (sway)" in finding
+    assert finding in found.warnings
+    assert finding in found.markdown()
+    assert found.verdict == "pass"
 
 
 def test_a_report_without_drivers() -> None:

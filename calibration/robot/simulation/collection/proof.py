@@ -9,18 +9,22 @@ import numpy as np
 
 from calibration.base.errors import CalibrationError
 from calibration.base.records import field, result
+from calibration.engine.baseline.comparison import MOST_FREEDOM, squared_mahalanobis
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import choose_truth
+from calibration.engine.dataset.truth import Truth, choose_truth
 from calibration.engine.diagnosis.check_data import check_data
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.evaluation.truth import TruthError, truth_error
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
+from calibration.engine.estimation.residuals.statistics import score_of_f
+from calibration.engine.evaluation.truth import TruthError, truth_error, with_true_values
+from calibration.engine.geometry.transforms import local
 
 
 @result
 class SensorSigma:
-    """Standard deviation of one transform, by the calibration's own covariance."""
+    """Standard deviation of one transform: the noise of its labels, and how far its collections disagree."""
 
     translation_mm: float = field("Norm of three axes.", unit="mm")
     rotation_deg: float = field("Norm of three axes.", unit="deg")
@@ -48,6 +52,12 @@ class Proof:
     translation_mm: float | None = field("Worst error of a calibrated sensor against the truth.", default=None)
     rotation_deg: float | None = field("Likewise.", default=None)
     sigmas: Mapping[str, SensorSigma] | None = field("By sensor, of the transforms that were free.", default=None)
+    error_sigmas: float | None = field(
+        "Worst error of a calibrated sensor in its stated standard deviations: the root mean square over the six "
+        "directions of its covariance, 1 on average.",
+        default=None,
+    )
+    chance: float | None = field("Probability that chance makes it as large.", default=None)
     weak_directions: tuple[str, ...] = field("Directions that the data hardly determine.", default=())
     joints: tuple[JointProof, ...] | None = field(
         "Free parameters of joints; absent if there are none.", default=None, omitted=True
@@ -70,27 +80,33 @@ class Proof:
         return max(errors, default=None)
 
 
-def prove(folder: Path, truth: str | None = None) -> Proof:
+def prove(folder: Path, truth: str | None = None, assume: Assumptions = ALL_EXACT) -> Proof:
     """Calibrate the dataset in a folder from the linear initial guess, and compare with a truth (see `choose_truth`).
 
     A dataset that cannot be calibrated is a result, not an error.
+
+    Args:
+        folder: folder of the dataset.
+        truth: see `choose_truth`.
+        assume: how well is known what the simulated world has otherwise than the dataset says.
     """
     try:
-        return prove_dataset(read_dataset(folder), truth)
+        return prove_dataset(read_dataset(folder), truth, assume)
     except CalibrationError as error:
         return Proof(False, str(error).replace(f"{folder}/", ""))  # the folder is temporary
 
 
-def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
+def prove_dataset(dataset: Dataset, choice: str | None = None, assume: Assumptions = ALL_EXACT) -> Proof:
     """Calibrate a dataset like `prove`.
 
     Raises:
         CalibrationError: it cannot be calibrated.
     """
     check_data(dataset)
-    found = calibrate(dataset)
+    found = calibrate(dataset, Options(assume=assume))
     truth = choose_truth(dataset, choice)
     error = truth_error(found.dataset, truth) if truth is not None and found.converged else None
+    sigmas, chance = _error_in_sigmas(found, truth) if truth is not None and found.converged else (None, None)
     sensors = {s.name: s.edge for s in dataset.sensors.values() if s.edge in found.covariances}
     return Proof(
         converged=found.converged,
@@ -99,22 +115,44 @@ def prove_dataset(dataset: Dataset, choice: str | None = None) -> Proof:
         translation_mm=_round_finite(error.translation_mm, 4) if error else None,
         rotation_deg=_round_finite(error.rotation_deg, 6) if error else None,
         sigmas={
-            name: SensorSigma(
-                round(found.label_sigma_mm(edge), 4), round(float(np.degrees(found.label_sigma_mrad(edge) / 1e3)), 6)
-            )
+            name: SensorSigma(round(found.sigma_mm(edge), 4), round(float(np.degrees(found.sigma_mrad(edge) / 1e3)), 6))
             for name, edge in sensors.items()
         }
         if found.converged
         else None,
+        error_sigmas=sigmas,
+        chance=chance,
         weak_directions=found.weak_directions,
         joints=(tuple(_joint_proofs(found, error)) or None) if found.converged else None,
     )
 
 
+def _error_in_sigmas(found: Calibration, truth: Truth) -> tuple[float | None, float | None]:
+    """Return `Proof.error_sigmas` and `Proof.chance`; None if no transform is free.
+
+    Collections that disagree tell one factor of the covariance. It is known as well as if each of them told one number,
+    since what moves between the sensors' measurements moves all labels of a collection alike: the squared error over 6
+    is F-distributed with 6 and as many degrees of freedom as there are effective collections, less one.
+    """
+    true, bars = with_true_values(found.dataset, truth), found.error_bars
+    agree = bars is None or not any(source.columns.any() for source in bars.sources if source.kind == "collections")
+    freedom = MOST_FREEDOM if agree or bars is None else max(bars.effective_collections - 1, 1.0)
+    gauge = found.dataset.sensors[found.gauge].frame if found.gauge else None
+    squares = []
+    for edge in (sensor.edge for sensor in found.dataset.sensors.values() if sensor.edge in found.covariances):
+        parent, child = gauge or edge[0], edge[1]
+        d = local(true.transform(parent, child)[0], found.dataset.transform(parent, child)[0])
+        squares.append(squared_mahalanobis(d, found.covariances[edge]) / 6)
+    if not squares:
+        return None, None
+    tail = 0.5 * math.erfc(float(score_of_f(max(squares), 6, freedom)) / math.sqrt(2))
+    return round(math.sqrt(max(squares)), 4), float(f"{min(1.0, len(squares) * tail):.2g}")
+
+
 def _joint_proofs(found: Calibration, error: TruthError | None) -> Iterator[JointProof]:
     errors = {(each.joint, each.parameter): each.error for each in error.joints} if error else {}
     for name, joint in found.joints.items():
-        numbers = zip(joint.parameters, joint.units, joint.values.tolist(), joint.label_sigmas.tolist(), strict=True)
+        numbers = zip(joint.parameters, joint.units, joint.values.tolist(), joint.sigmas.tolist(), strict=True)
         for parameter, unit, value, sigma in numbers:
             off = errors.get((name, parameter))
             yield JointProof(

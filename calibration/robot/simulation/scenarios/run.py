@@ -1,5 +1,6 @@
 """Run of scenarios: each is collected, calibrated, and compared with its ground truth."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,15 +10,19 @@ from calibration.base.files import temporary_folder
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document
+from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
 from calibration.robot.simulation.collection.proof import Proof, prove
 from calibration.robot.simulation.collection.record import Record, collect_pose, corner_rms, kept
 from calibration.robot.simulation.motion.sequence import Motion
 from calibration.robot.simulation.placement import Play, play
-from calibration.robot.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash
+from calibration.robot.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash, parse_id
 from calibration.robot.simulation.scenarios.scenario_set import ScenarioSet
 from calibration.robot.simulation.scenarios.world import build_world, scenario_motion
+
+MAX_LEFT_BY_DRIVER = 0.5
+"""Largest share of the error's standard deviations that is left without what drives it."""
 
 
 def scenario_play(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> Play:
@@ -61,7 +66,59 @@ def run_scenario(
         return replace(result, reasons=(str(error),))
     with temporary_folder(parent=scratch) as folder:
         records = _collect_every_pose(played, requirements or Requirements(), folder)
-        return finished_result(result, records, prove(folder) if kept(records) else None)
+        return finished_result(
+            result, records, prove(folder, assume=world_assumptions(scenarios)) if kept(records) else None
+        )
+
+
+_QUANTILES = tuple((number + 0.5) / 64 for number in range(64))
+
+
+def world_assumptions(scenarios: ScenarioSet) -> Assumptions:
+    """Return how well is known what a scenario has otherwise than its dataset says: how flat patterns are.
+
+    All else that a dataset holds is exact, and what is moved (assembly, joints) is calibrated.
+    """
+    drawn = scenarios.parameters.distributions
+    bows = [drawn[name].value(u) / 1000 for name in scenarios.parameters.named("pattern.bow_mm") for u in _QUANTILES]
+    return replace(ALL_EXACT, flatness=math.sqrt(sum(bow**2 for bow in bows) / len(bows))) if bows else ALL_EXACT
+
+
+def find_driver(
+    scenarios: ScenarioSet,
+    result: ScenarioResult,
+    motion: Motion | None = None,
+    requirements: Requirements | None = None,
+) -> str:
+    """Name what explains a scenario's error beyond its error bar: the part of the set without which it is least.
+
+    The scenario is collected again with the same motion and the same noise, each time with one part of the set (light,
+    cameras, motion, ...) as the system describes it. Labels are found anew, so what acts by them is seen too.
+
+    Args:
+        scenarios: the scenario's set.
+        result: of the scenario; it has a calibration.
+        motion: see `scenario_play`.
+        requirements: see `run_scenario`.
+
+    Raises:
+        InfrastructureError: no temporary file can be written.
+    """
+    scenario = scenarios.scenario(*parse_id(result.id))
+    same = scenario_play(scenarios, scenario, motion).motion
+    parts: dict[str, dict[str, float]] = {}
+    for group, names in scenarios.parameters.groups.items():
+        parts.setdefault(group.partition(".")[0], {}).update({name: scenario.values[name] for name in names})
+    sigmas, before = {}, result.error_sigmas or 0.0
+    for part, values in parts.items():
+        others = {name: value for name, value in scenario.values.items() if name not in values}
+        again = run_scenario(scenarios, replace(scenario, values=others), same, requirements)
+        sigmas[part] = math.inf if again.error_sigmas is None else again.error_sigmas
+    best = min(sigmas, key=lambda part: sigmas[part], default="")
+    if not best or sigmas[best] > before * MAX_LEFT_BY_DRIVER:
+        return "none of the drawn quantities alone"
+    drawn = ", ".join(f"{name} {value:.3g}" for name, value in parts[best].items())
+    return f"{best} ({drawn}), as described it is off by {sigmas[best]:.2g}"
 
 
 def pending_result(scenarios: ScenarioSet, scenario: Scenario, motion: Motion | None = None) -> ScenarioResult:
@@ -122,5 +179,7 @@ def calibrated_result(result: ScenarioResult, proof: Proof) -> ScenarioResult:
         joint_deg=proof.joint_deg,
         sigma_mm=max((sigma.translation_mm for sigma in sigmas), default=None),
         sigma_deg=max((sigma.rotation_deg for sigma in sigmas), default=None),
+        error_sigmas=proof.error_sigmas,
+        chance=proof.chance,
         reasons=() if proof.converged else (proof.reason or "the calibration did not converge",),
     )

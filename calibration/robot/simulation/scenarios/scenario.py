@@ -152,6 +152,12 @@ class ScenarioResult:
         unit="mm",
     )
     sigma_deg: Amount | None = field("Likewise.", default=None, unit="degrees")
+    error_sigmas: Amount | None = field(
+        "The worst error of a calibrated sensor in its stated standard deviations: the root mean square over six "
+        "directions, 1 on average.",
+        default=None,
+    )
+    chance: Annotated[float, between(0, 1)] | None = field("Probability that chance makes it as large.", default=None)
     reasons: Lines = field("Reason why there is no calibration; empty if there is one.", default=())
 
     @property

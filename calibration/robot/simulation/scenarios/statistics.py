@@ -17,6 +17,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.optional import optional
+from calibration.engine.estimation.residuals.statistics import FAMILY_WISE
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 
@@ -144,6 +145,13 @@ class Statistics:
     def drivers(self) -> list[Driver]:
         """Parameters that drive the translation error, strongest first; without a calibration is worst."""
         return find_drivers([result.values for result in self.ran], [_translation_error(result) for result in self.ran])
+
+    @property
+    def beyond_error_bars(self) -> list[ScenarioResult]:
+        """The scenarios whose error chance does not explain, family-wise over all (Bonferroni), worst first."""
+        least = FAMILY_WISE / max(1, len(self.calibrated))
+        found = [result for result in self.calibrated if result.chance is not None and result.chance < least]
+        return sorted(found, key=lambda result: (-(result.error_sigmas or 0.0), result.id))
 
     @property
     def ran(self) -> list[ScenarioResult]:

@@ -9,11 +9,12 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.engine.estimation.options import ALL_EXACT
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.record import single_threaded_opencv
 from calibration.robot.simulation.motion.sequence import Motion, read_motion
-from calibration.robot.simulation.scenarios.run import run_scenario
-from calibration.robot.simulation.scenarios.scenario import ScenarioResult, content_hash, parse_id
+from calibration.robot.simulation.scenarios.run import find_driver, pending_result, run_scenario, world_assumptions
+from calibration.robot.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash, parse_id
 from calibration.robot.simulation.scenarios.scenario_set import ScenarioSet, read_scenario_set
 from calibration.robot.simulation.scenarios.statistics import Statistics
 from calibration.robot.simulation.system import read_system
@@ -80,6 +81,53 @@ def test_an_id_replays_its_row_of_the_whole(swaying: ScenarioSet, results: list[
     scenario = swaying.scenario(*parse_id("s1-00004"))
     assert run_scenario(swaying, scenario, requirements=LENIENT) == results[4]
     assert results[4].hash == content_hash(swaying.system, scenario)
+
+
+def test_error_bars_contain_what_the_sway_does(results: list[ScenarioResult]) -> None:
+    squares = [result.error_sigmas**2 for result in results if result.error_sigmas is not None]
+    assert len(squares) == SCENARIOS
+    assert 0.3 < sum(squares) / SCENARIOS < 3  # by the noise of the labels alone it is hundreds
+    assert Statistics(results).beyond_error_bars == []
+
+
+BENT = "light: {ambient: 0.75}\npattern: {bow_mm: 15}\nmotion: {poses: 8, sway_mm: 0.01}"
+
+
+def test_patterns_are_as_flat_as_the_set_says(read_set: ReadSet) -> None:
+    bent = world_assumptions(read_set(BENT))
+    assert bent == replace(ALL_EXACT, flatness=pytest.approx(0.015))
+    assert world_assumptions(read_set("light: {ambient: 0.75}")) == ALL_EXACT
+
+
+def test_a_driver_is_the_part_without_which_the_error_is_least(
+    read_set: ReadSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenarios = read_set(BENT)
+    result = replace(pending_result(scenarios, scenarios.scenario(1, 0)), converged=True, error_sigmas=9.0)
+    motions = []
+
+    def repeated(_: ScenarioSet, scenario: Scenario, motion: Motion, *__: object) -> ScenarioResult:
+        motions.append(motion)
+        bent = "pattern_1.bow_x_mm" in scenario.values or "pattern_1.bow_y_mm" in scenario.values
+        return replace(result, error_sigmas=8.0 if bent else 1.0)
+
+    monkeypatch.setattr("calibration.robot.simulation.scenarios.run.run_scenario", repeated)
+    assert find_driver(scenarios, result).startswith("pattern (pattern_1.bow_x_mm 15, pattern_1.bow_y_mm 15), ")
+    assert len(motions) == 3
+    assert all(motion is motions[0] for motion in motions)
+    assert find_driver(scenarios, replace(result, error_sigmas=1.5)).startswith("none")
+
+
+@pytest.mark.thorough
+def test_a_bent_pattern_is_the_driver_where_it_is_taken_for_flat(
+    read_set: ReadSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenarios = read_set(BENT)
+    monkeypatch.setattr("calibration.robot.simulation.scenarios.run.world_assumptions", lambda _: ALL_EXACT)
+    result = run_scenario(scenarios, scenarios.scenario(1, 0))
+    assert result.error_sigmas is not None
+    assert result.error_sigmas > 2.5
+    assert find_driver(scenarios, result).startswith("pattern ")
 
 
 def test_what_was_planted_drives_the_error(results: list[ScenarioResult]) -> None:
