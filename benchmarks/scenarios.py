@@ -33,6 +33,10 @@ def measure(quick: bool) -> Iterator[Row]:
     note = f"{count} scenarios of t2rgb with 12 poses each"
     yield Row("scenarios/scenarios per second", count / took, "1/s", Bar(low=100 / 120), note)
     yield Row("scenarios/calibrate", 100 * len(report.calibrated) / count, "%", Bar(low=100))
+    squares = [each.error_sigmas**2 for each in report.calibrated if each.error_sigmas is not None]
+    mean = sum(squares) / max(1, len(squares))
+    beyond = f"{len(report.beyond_error_bars)} findings; by the noise of the labels alone 24 and 7, of 20"
+    yield Row("scenarios/mean squared error in stated deviations", mean, "", Bar(0.4, 2.5), beyond)
     if errors:
         yield Row(
             "scenarios/median error", errors[50], "mm", None, f"95 %: {errors[95]:.3g} mm, worst: {errors[100]:.3g} mm"
