@@ -277,7 +277,7 @@ def test_outputs_of_the_step(small: Path, motion: Path, tmp_path: Path, monkeypa
     assert 0 < float(found["rotation-deg"]) < 0.1
     assert Path(found["contact-sheet"]).exists()
     assert Path(found["results"]).exists()
-    assert "## collect-data-sim: pass" in (tmp_path / "summary").read_text()
+    assert "## Collection in simulation: pass" in (tmp_path / "summary").read_text()
 
 
 def test_a_scenario_whose_process_dies_leaves_no_temporary_folder(
