@@ -65,7 +65,7 @@ def parse_command(
         raise InputError(f"tests: {text!r} cannot be split into arguments: {error}") from None
     if not words:
         raise InputError(
-            "run is empty: a command such as pytest, python -m unittest, or a folder of tests was expected"
+            "tests is empty: a command such as pytest, python -m unittest, or a folder of tests was expected"
         )
     path = environment.get("PATH")
     python = _find_python(interpreter, path)

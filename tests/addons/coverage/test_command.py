@@ -89,15 +89,15 @@ def test_where_pytest_writes_its_results(folder: Path, text: str, junit: str | N
 @pytest.mark.parametrize(
     ("text", "interpreter", "path", "message"),
     [
-        ("", None, None, "run is empty"),
-        (" ", None, None, "run is empty"),
-        ("pytest 'x", None, None, 'run: "pytest \'x" cannot be split into arguments: No closing quotation'),
-        ("no-such", None, None, "run: there is no program 'no-such' (the command is not run by a shell"),
+        ("", None, None, "tests is empty"),
+        (" ", None, None, "tests is empty"),
+        ("pytest 'x", None, None, 'tests: "pytest \'x" cannot be split into arguments: No closing quotation'),
+        ("no-such", None, None, "tests: there is no program 'no-such' (the command is not run by a shell"),
         ("./no-such.sh", None, None, "there is no program './no-such.sh'"),
         ("pytest", "no-python", None, "interpreter: 'no-python' is not a program"),
         ("make test", "python3", None, "interpreter is given, but 'make' uses its own"),
-        ("unittest", None, "/nowhere", "run: there is no python3 on the PATH"),
-        ("tests", None, "/nowhere", "run: there is no python3 on the PATH"),
+        ("unittest", None, "/nowhere", "tests: there is no python3 on the PATH"),
+        ("tests", None, "/nowhere", "tests: there is no python3 on the PATH"),
         ("tests", "broken", None, "broken does not run: "),
     ],
 )
