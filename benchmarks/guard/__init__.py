@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from benchmarks.guard import witnessed
+from benchmarks.guard import lidars, witnessed
 from benchmarks.guard.clips import Clip, Displacement, Disturbances, Room, as_recorded, camera_of_room
 from benchmarks.rows import Bar, Row
 from calibration.addons.guard.fixed_check import check_fixed_camera
@@ -68,6 +68,7 @@ def measure(quick: bool) -> Iterator[Row]:
     yield Row("guard/fixed/cannot tell, said so", 100 * (1 - len(told) / untold), "%", Bar(low=100), note)
     yield from _time_of_two_minutes()
     yield from witnessed.measure(quick)
+    yield from lidars.measure(quick)
 
 
 def reference_of(room: Room, seed: int) -> KeptCamera:

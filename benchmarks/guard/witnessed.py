@@ -17,9 +17,8 @@ from benchmarks.rows import Bar, Row
 from calibration.addons.guard.features import Features, find_features
 from calibration.addons.guard.outcome import MAX_FALSE_ALARM, SensorCheck
 from calibration.addons.guard.witness.bundle import evidence_of
-from calibration.addons.guard.witness.checks import MovingCamera, check_by_each_other, check_by_motion
+from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_each_other, check_by_motion
 from calibration.addons.guard.witness.displacement import Displacement, displacement_of
-from calibration.addons.guard.witness.moving_frames import POSE_NOISE
 from calibration.base.arrays import Array
 from calibration.engine.geometry.rotations import exp
 from calibration.engine.geometry.transforms import adjoint, inverse, retract, transform

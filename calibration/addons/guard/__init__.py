@@ -4,7 +4,7 @@
 - ``recording``: images of bags, videos and folders, a bounded number of each camera's;
 - ``features``, ``reference``, ``keeping``: what a fixed camera saw when it was accepted, kept beside the baseline;
 - ``fixed_camera``, ``fixed_check``: a fixed camera against it, image by image, and over the recording;
-- ``witness``: cameras that move, by what carries them and by each other; ``lerobot``: datasets of robot learning;
+- ``witness``: sensors that move, by what carries them and by each other; ``lerobot``: datasets of robot learning;
 - ``guarded``: what is checked, and the methods; ``results``, ``check``: the output and the command.
 """
 

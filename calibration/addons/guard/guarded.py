@@ -15,6 +15,7 @@ from calibration.addons.guard.recording import (
     path_of_recording,
 )
 from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
+from calibration.addons.guard.witness.map_checks import map_checks_of_bag
 from calibration.addons.guard.witness.moving_frames import checks_of_bag
 from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean
@@ -65,7 +66,18 @@ def moving_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
             yield from checks_of_bag(path, guarded.accepted, kept)
 
 
-METHODS: tuple[Method, ...] = (fixed_cameras, moving_cameras)
+def moving_lidars(guarded: Guarded) -> Iterable[SensorCheck]:
+    """Check the LiDARs of bags by the crispness of their map.
+
+    Raises:
+        InputError: a bag cannot be read.
+    """
+    for path in map(path_of_recording, guarded.recordings):
+        if is_bag(path):
+            yield from map_checks_of_bag(path, guarded.accepted)
+
+
+METHODS: tuple[Method, ...] = (fixed_cameras, moving_cameras, moving_lidars)
 """Of several that check a sensor the first counts."""
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.base.errors import InputError
-from calibration.robot.importing.bags.bag import BAG_ENDINGS, NS_PER_S, Bag, open_bag
+from calibration.robot.importing.bags.bag import BAG_ENDINGS, LIVOX_TYPES, NS_PER_S, Bag, open_bag
 from calibration.robot.importing.bags.messages import image_of
 from calibration.robot.importing.bags.survey import cameras_of, no_images
 from calibration.robot.importing.bags.video_packets import KeyFrames
@@ -15,6 +15,7 @@ from calibration.robot.importing.description import SensorDescription
 from calibration.robot.importing.look.sources import ImageSource, images_at, topic_images
 from calibration.robot.labelling.detection import Image, grey
 
+CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2", *LIVOX_TYPES)
 MAX_CLOCK_JUMP = 1.0
 """s: largest change of a topic's stamps against the clock of the recording, between two images that are looked at."""
 
@@ -98,7 +99,7 @@ def _cameras_at(path: Path, rate: float) -> dict[str, CameraImages]:
     if is_bag(path):
         with open_bag([path]) as bag:
             cameras = cameras_of(bag)
-            if not cameras:
+            if not cameras and not bag.of_type(*CLOUD_TYPES):
                 raise InputError(f"{path}: {no_images(bag)}")
             return {each.name: found for each in cameras if (found := _images_of_topic(bag, each)) is not None}
     return {name: _images_of_source(source, rate) for name, source in images_at(path).items()}

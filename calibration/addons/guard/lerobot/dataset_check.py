@@ -25,8 +25,9 @@ from calibration.addons.guard.lerobot.frames import SoughtFrame, frames_at
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.recording import CameraImages
 from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
-from calibration.addons.guard.witness.checks import MovingCamera, check_by_motion
-from calibration.addons.guard.witness.moving_frames import IMAGE_STEP, LENS_SIGMAS, MAX_IMAGES, POSE_NOISE
+from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_motion
+from calibration.addons.guard.witness.moving_frames import LENS_SIGMAS
+from calibration.addons.guard.witness.recorded_frames import MAX_MOMENTS, MOMENT_STEP
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
 from calibration.engine.baseline.document import read_baseline
@@ -178,7 +179,7 @@ def _nominal_camera(images: CameraImages) -> Camera:
 def _check_carried(key: str, camera: DatasetCamera, episode: Episode, video: EpisodeVideo) -> SensorCheck:
     times, values = episode.column(camera.pose_column or "")
     T = _poses_of_column(values, f"{episode.data}: {camera.pose_column}")
-    number = min(MAX_IMAGES, int((times[-1] - times[0]) / IMAGE_STEP) + 1)
+    number = min(MAX_MOMENTS, int((times[-1] - times[0]) / MOMENT_STEP) + 1)
     wanted = np.linspace(times[0], times[-1], number)
     frames = list(frames_at(video.path, (video.begin + wanted - times[0]).tolist()))
     if any(each.image.shape != (camera.height, camera.width) for each in frames):

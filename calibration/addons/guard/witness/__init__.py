@@ -3,6 +3,8 @@
 - ``tracks``: points of the scene, found again from image to image;
 - ``bundle``: scene points and poses by least squares, and what the images alone say of each pose;
 - ``displacement``: the test of the accepted mount against a free one, and the moment from which on it moved;
-- ``moving_frames``: where the link of a sensor was, over a recording;
-- ``checks``: what the command calls.
+- ``plane_map``: planes that scans of a LiDAR see again, and what they say of each pose;
+- ``recorded_frames``: where the link of a sensor was, over a recording;
+- ``checks``: what is said of a sensor by it;
+- ``moving_frames``, ``map_checks``: the cameras and the LiDARs of a bag.
 """

@@ -128,11 +128,11 @@ class Evidence:
         columns = unknown_columns(o)
         r = (r - np.einsum("mij,mj->mi", J, (x - self.found)[columns])) / self.sigma_px
         J, Jp = J / self.sigma_px, Jp / self.sigma_px
-        V = _sums(np.einsum("mij,mik->mjk", Jp, Jp), o.points)
-        p = np.einsum("jab,jb->ja", _inverses(V), _sums(np.einsum("mij,mi->mj", Jp, r), o.points))
+        V = sums_of_groups(np.einsum("mij,mik->mjk", Jp, Jp), o.points)
+        p = np.einsum("jab,jb->ja", _inverses(V), sums_of_groups(np.einsum("mij,mi->mj", Jp, r), o.points))
         r = r - np.einsum("mij,mj->mi", Jp, p[o.points])
         scores = np.einsum("mi,mij,mjp->mp", r, J, B[columns])
-        return _sums(scores, o.clusters[o.points])
+        return sums_of_groups(scores, o.clusters[o.points])
 
 
 def evidence_of(observations: Observations, lens_sigmas: Array) -> Evidence | None:
@@ -155,7 +155,7 @@ def evidence_of(observations: Observations, lens_sigmas: Array) -> Evidence | No
         sigma = max(float(np.median(length)) / MEDIAN_RAYLEIGH * fitted, MIN_SIGMA_PX)
         scale = max(WIDEST_PX * (3 * sigma / WIDEST_PX) ** (step / (SCALES - 1)), 3 * sigma)
         weights = (1 + (length / scale) ** 2) ** -2
-        prior = _prior(o.moments, lens_sigmas, STIFFEST ** (step / (SCALES - 1) - 1))
+        prior = unknown_prior(o.moments, lens_sigmas, STIFFEST ** (step / (SCALES - 1) - 1))
         x, points = _step(o, x, points, linearised, weights, sigma, prior)
     for _ in range(LAST_STEPS):
         length = np.linalg.norm(_linearise(o, x, points).residuals, axis=-1)
@@ -184,7 +184,7 @@ def evidence_of(observations: Observations, lens_sigmas: Array) -> Evidence | No
     return Evidence(o, S, S @ x + g, sigma, linearised, x)
 
 
-def _prior(moments: int, lens_sigmas: Array, softness: float) -> Array:
+def unknown_prior(moments: int, lens_sigmas: Array, softness: float) -> Array:
     """Return the inverse covariance (n, n) of the unknowns."""
     common, own = (np.repeat(each, 3) ** 2 for each in ((COMMON_M, COMMON_RAD), (softness * OWN_M, softness * OWN_RAD)))
     C = np.zeros((6 * moments + LENS_COLUMNS,) * 2)
@@ -221,7 +221,7 @@ def _first_points(o: Observations) -> Array:
     for depth in FIRST_DEPTHS:
         points = np.concatenate([at, np.full((len(at), 1), depth)], 1)
         length = np.linalg.norm(_linearise(o, np.zeros(6 * o.moments + LENS_COLUMNS), points).residuals, axis=-1)
-        costs.append(_sums(1 - (1 + (length / WIDEST_PX) ** 2) ** -1, o.points))
+        costs.append(sums_of_groups(1 - (1 + (length / WIDEST_PX) ** 2) ** -1, o.points))
     return np.concatenate([at, FIRST_DEPTHS[np.argmin(costs, 0)][:, None]], 1)
 
 
@@ -260,7 +260,9 @@ def _step(
     S, g, back = _reduced(o, linearised, weights / sigma**2, len(x))
     dx = np.linalg.solve(S + prior, g - prior @ x)
     inverses, bp, Z = back
-    dp = np.einsum("jab,jb->ja", inverses, bp - _sums(np.einsum("mjk,mj->mk", Z, dx[unknown_columns(o)]), o.points))
+    dp = np.einsum(
+        "jab,jb->ja", inverses, bp - sums_of_groups(np.einsum("mjk,mj->mk", Z, dx[unknown_columns(o)]), o.points)
+    )
     return x + dx, _moved(points, dp)
 
 
@@ -276,8 +278,8 @@ def _reduced(
     """Return the normal equations (n, n), (n,) without the points, and what brings these back."""
     r, J, Jp = linearised
     WJ, WJp = weights[:, None, None] * J, weights[:, None, None] * Jp
-    inverses = _inverses(_sums(np.einsum("mij,mik->mjk", WJp, Jp), o.points))
-    bp = _sums(np.einsum("mij,mi->mj", WJp, r), o.points)
+    inverses = _inverses(sums_of_groups(np.einsum("mij,mik->mjk", WJp, Jp), o.points))
+    bp = sums_of_groups(np.einsum("mij,mi->mj", WJp, r), o.points)
     Z = np.einsum("mij,mik->mjk", WJ, Jp)
     roots = np.linalg.cholesky(inverses)
     Y = Z @ roots[o.points]
@@ -311,7 +313,7 @@ def _inverses(V: Array) -> Array:
     return np.asarray(np.linalg.inv(V + weak))
 
 
-def _sums(values: Array | BoolArray, groups: IntArray) -> Array:
+def sums_of_groups(values: Array | BoolArray, groups: IntArray) -> Array:
     """Return the sums (G, ...) of values (M, ...) of each group."""
     count = int(groups.max(initial=-1)) + 1
     flat = np.asarray(values, float).reshape(len(values), -1)

@@ -18,7 +18,7 @@ from calibration.addons.guard.outcome import (
 from calibration.addons.guard.witness.bundle import Observations, evidence_of
 from calibration.addons.guard.witness.displacement import Displacement, displacement_of
 from calibration.addons.guard.witness.tracks import matched_pairs, tracked_scene
-from calibration.base.arrays import Array
+from calibration.base.arrays import Array, IntArray
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import distance, inverse, inverse_adjoint
 
@@ -36,6 +36,8 @@ MAX_POSE_NOISE_M, MAX_POSE_NOISE_RAD = 0.01, 0.01
 """m and rad: by what most poses may err, as the images say, for these to be a witness."""
 MIN_SCORE = 3.0
 """Standard deviations from which on a rotation or a translation is named."""
+POSE_NOISE = (5e-5, 1e-4)
+"""m and rad: least standard deviations of the poses of what carries a sensor, as of an arm's link in a calibration."""
 RIGID_NOISE = (1e-5, 1e-5)
 """m and rad: least standard deviations of the pose of a camera on a body."""
 
@@ -70,12 +72,11 @@ def check_by_motion(seen: MovingCamera, pose_noise: tuple[float, float]) -> Sens
         seen: the camera.
         pose_noise: m and rad, least standard deviations of the link's poses.
     """
-    answer = _Answer(seen.name, "the motion of what carries it", seen.times)
+    answer = WitnessAnswer(seen.name, "the motion of what carries it", seen.times)
     if fault := _fault_of_images(seen):
         return answer.cannot_tell(fault)
-    m, rad = distance(seen.T_root_link[0], seen.T_root_link)
-    if m.max() < MIN_MOTION_M and rad.max() < MIN_MOTION_RAD:
-        return answer.cannot_tell(f"it moved by {1e3 * m.max():.1f} mm and {np.degrees(rad.max()):.1f} degrees only")
+    if fault := standstill_of(seen.T_root_link):
+        return answer.cannot_tell(fault)
     observations = tracked_scene(seen.features, seen.camera, seen.T_root_link @ seen.T_link_camera)
     return answer.of(observations, seen, seen.covariance, pose_noise)
 
@@ -86,13 +87,21 @@ def check_by_each_other(one: MovingCamera, other: MovingCamera) -> SensorCheck:
     Both have images of the same K moments, and links that do not move relative to each other. Without the distance of
     anything, a translation along the line between them cannot be told.
     """
-    answer = _Answer(other.name, f"what {one.name} sees too", other.times)
+    answer = WitnessAnswer(other.name, f"what {one.name} sees too", other.times)
     if fault := _fault_of_images(one) or _fault_of_images(other):
         return answer.cannot_tell(fault)
     T = inverse(one.T_root_link[0] @ one.T_link_camera) @ other.T_root_link[0] @ other.T_link_camera
     observations = matched_pairs(one.features, other.features, (one.camera, other.camera), T)
     to_other = inverse_adjoint(T)
     return answer.of(observations, other, other.covariance + to_other @ one.covariance @ to_other.T, RIGID_NOISE)
+
+
+def standstill_of(T_root_link: Array) -> str:
+    """Return that a link (K, 4, 4) stood still, and so says nothing; empty if it moved."""
+    m, rad = distance(T_root_link[0], T_root_link)
+    if m.max() < MIN_MOTION_M and rad.max() < MIN_MOTION_RAD:
+        return f"it moved by {1e3 * m.max():.1f} mm and {np.degrees(rad.max()):.1f} degrees only"
+    return ""
 
 
 def _fault_of_images(seen: MovingCamera) -> str:
@@ -106,14 +115,17 @@ def _fault_of_images(seen: MovingCamera) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class _Answer:
+class WitnessAnswer:
     """Answer about one sensor."""
 
     sensor: str
     method: str
     times: Array
+    """(K,): s, of its images or scans."""
+    is_camera: bool = True
 
     def cannot_tell(self, reason: str) -> SensorCheck:
+        """Return that the recording does not tell, and why."""
         return SensorCheck(
             sensor=self.sensor, method=self.method, outcome="cannot-tell", reason=reason, images=len(self.times)
         )
@@ -121,17 +133,21 @@ class _Answer:
     def of(
         self, observations: Observations, seen: MovingCamera, accepted: Array, pose_noise: tuple[float, float]
     ) -> SensorCheck:
+        """Return what scene points say, once those that move are left out."""
         evidence = evidence_of(observations, seen.lens_sigmas) if len(observations.views) else None
         points = 0 if evidence is None else len(evidence.observations.clusters)
         if evidence is None or len(np.unique(evidence.observations.points)) < MIN_POINTS:
             return self.cannot_tell(f"found {points} points that stand still in a scene, expected {MIN_POINTS}")
         velocities = seen.velocities @ inverse_adjoint(seen.T_link_camera).T
-        found = displacement_of(evidence, velocities, pose_noise, seen.lens_sigmas, accepted)
+        return self.by(displacement_of(evidence, velocities, pose_noise, seen.lens_sigmas, accepted))
+
+    def by(self, found: Displacement) -> SensorCheck:
+        """Return what a displacement says, whether significant or not."""
         m, rad = found.pose_noise
         if m > MAX_POSE_NOISE_M or rad > MAX_POSE_NOISE_RAD:
             off = f"{1e3 * m:.0f} mm and {np.degrees(rad):.1f} degrees"
             return self.cannot_tell(
-                f"images and poses differ by {off} from image to image: does the scene move, or a clock?"
+                f"what is seen and the poses differ by {off} from moment to moment: does the scene move, or a clock?"
             )
         C = found.covariance
         unseen = [
@@ -151,7 +167,7 @@ class _Answer:
             sensor=self.sensor,
             method=self.method,
             outcome=outcome,
-            reason=_reason(outcome, found, unseen, since),
+            reason=_reason(outcome, found, unseen, since, is_camera=self.is_camera),
             since=since,
             rotation_deg=tuple(np.degrees(found.twist[3:]).round(4).tolist()),
             rotation_sigma_deg=tuple(np.degrees(sigmas[3:]).round(4).tolist()),
@@ -164,27 +180,37 @@ class _Answer:
         )
 
 
-def _reason(outcome: str, found: Displacement, unseen: list[float], since: float | None) -> str:
+def _reason(outcome: str, found: Displacement, unseen: list[float], since: float | None, *, is_camera: bool) -> str:
     """Return in one sentence what was found, or what cannot be."""
-    sigmas, (mm, deg) = np.sqrt(np.diag(found.covariance)), unseen
+    sigmas, deg = np.sqrt(np.diag(found.covariance)), unseen[1]
     score = math.sqrt(found.limit) + SCORE_OF_POWER
-    untold = score * sigmas > np.repeat([1e-3 * MAX_UNSEEN_MM, math.radians(MAX_UNSEEN_DEG)], 3)
-    shifts, turns = (" and ".join(np.array(list("xyz"))[part]) or "some line" for part in (untold[:3], untold[3:]))
+    variances, axes = np.linalg.eigh(found.covariance[:3, :3])
+    deviations, along = np.sqrt(np.maximum(variances, 0)), found.twist[:3] @ axes
+    told = (score * deviations <= 1e-3 * MAX_UNSEEN_MM) | (abs(along) > MIN_SCORE * deviations)
+    turns = _axes_in_words(np.flatnonzero(score * sigmas[3:] > math.radians(MAX_UNSEEN_DEG)))
     if outcome == "cannot-tell":
         return (
             f"a turn about {turns} of less than {deg:.1f} degrees would go unseen: too little motion, or too few points"
         )
-    unknown = f"; a shift along {shifts} cannot be told here" if mm > MAX_UNSEEN_MM else ""
+    unknown = ""
+    if not told.all():
+        shifts = _axes_in_words(np.unique(np.argmax(abs(axes[:, ~told]), 0)))
+        unknown = f"; a shift along {shifts} cannot be told here"
     if outcome == "unmoved":
-        shift = "" if unknown else f" or a shift of {mm:.1f} mm"
+        mm = 1e3 * score * float(deviations[told].max(initial=0.0))
+        shift = f" or a shift of {mm:.1f} mm" if told.any() else ""
         return f"a turn of {deg:.2f} degrees{shift} would be seen in 99 %{unknown}"
-    shifted, turned = found.twist[:3], found.twist[3:]
+    shifted, turned = axes[:, told] @ along[told], found.twist[3:]
     parts = []
     if (abs(turned) > MIN_SCORE * sigmas[3:]).any():
-        words = direction_in_words(np.degrees(turned).tolist(), is_camera=True)
+        words = direction_in_words(np.degrees(turned).tolist(), is_camera=is_camera)
         parts.append(f"turned by {np.degrees(np.linalg.norm(turned)):.2f} degrees {words}")
-    if (abs(shifted) > MIN_SCORE * sigmas[:3]).any():
+    if (abs(along) > MIN_SCORE * deviations).any():
         axis = "xyz"[int(np.argmax(abs(shifted)))]
         parts.append(f"shifted by {1e3 * np.linalg.norm(shifted):.1f} mm, most along {axis}")
     when = "all along" if since is None else f"from {since:.1f} s on"
     return f"it is {' and '.join(parts) or 'elsewhere, in a direction that is not told'}, {when}{unknown}"
+
+
+def _axes_in_words(axes: IntArray) -> str:
+    return " and ".join("xyz"[axis] for axis in axes.tolist()) or "some line"

@@ -10,29 +10,20 @@ import numpy as np
 from calibration.addons.guard.features import Features, find_features
 from calibration.addons.guard.keeping import accepted_camera
 from calibration.addons.guard.outcome import SensorCheck
-from calibration.addons.guard.witness.checks import MovingCamera, check_by_each_other, check_by_motion
+from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_each_other, check_by_motion
+from calibration.addons.guard.witness.recorded_frames import RecordedFrames, evenly_chosen
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.frames import FrameTree, Step
-from calibration.engine.geometry.transforms import inverse, inverse_adjoint, local
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag, open_bag
-from calibration.robot.importing.bags.survey import SensorTopic, Survey, survey
+from calibration.robot.importing.bags.survey import SensorTopic, Survey, cameras_of, survey
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.description import Bags, ImportDescription
 from calibration.robot.labelling.detection import grey
 
-MAX_IMAGES = 80
-"""Images of a camera that are looked at, evenly chosen."""
-IMAGE_STEP = 0.5
-"""s: least time between them."""
 MAX_APART = 0.03
 """s: limit of the time between two images that are taken for one moment."""
-HALF_STEP = 0.01
-"""s: a velocity is taken over twice this time."""
-POSE_NOISE = (5e-5, 1e-4)
-"""m and rad: least standard deviations of the poses of what carries a camera, as of an arm's link in a calibration."""
 LENS_SIGMAS = np.array([5e-4, 1e-3, 1e-3])
 """Standard deviations of the relative focal length and the principal point, in focal lengths, if nobody knows them."""
 NO_WITNESS = (
@@ -52,6 +43,8 @@ def checks_of_bag(path: Path, accepted: CalibrationDocument, skipped: Sequence[s
         InputError: the bag cannot be read.
     """
     with open_bag([path]) as bag:
+        if not cameras_of(bag):
+            return
         found = survey(bag, ImportDescription((), bags=Bags((path,))))
         carried = _Carried(bag, found, accepted)
         cameras = [each for each in accepted.poses if each.sensor in found.cameras and each.sensor not in skipped]
@@ -122,15 +115,12 @@ class _Carried:
     """Cameras of a bag, and the frames that carry them."""
 
     def __init__(self, bag: Bag, found: Survey, accepted: CalibrationDocument) -> None:
-        self._bag, self._found, self._accepted, self._log = bag, found, accepted, found.log
-        self._fixed = {each.edge: each.matrix for each in accepted.poses if not self._log.moves(each.edge)}
-        recorded = {child: parent for parent, child in reversed(self._log.edges)}
-        self._parent = recorded | {child: parent for parent, child in self._fixed}
-        self._tree = FrameTree((parent, child) for child, parent in self._parent.items())
+        self._bag, self._found, self._accepted = bag, found, accepted
+        self._frames = RecordedFrames(found.log, accepted)
 
     def moves(self, pose: CalibratedPose) -> bool:
         """Whether what carries a camera moves."""
-        return self._moves(self._root(pose.parent), pose.parent)
+        return self._frames.moves(self._frames.root(pose.parent), pose.parent)
 
     def camera(self, pose: CalibratedPose, stamps: IntArray | None = None) -> MovingCamera:
         """Return what a camera saw, evenly over the recording or at some stamps, ns, and where its link was.
@@ -142,35 +132,25 @@ class _Carried:
         camera = self._camera(topic, pose)
         every = np.array(sorted(topic.stamps.values()))
         chosen = evenly_chosen(every) if stamps is None else every[np.abs(every[:, None] - stamps).argmin(0)]
-        if self.moves(pose):
-            chosen = np.array([stamp for stamp in chosen.tolist() if self._is_known(pose.parent, stamp)], int)
-        if not len(chosen):
-            raise InputError(f"{self._bag.path}: found no pose of '{pose.parent}' near the images of {topic.topic}")
+        carriage = self._frames.carriage(pose, topic.frame, chosen, topic.topic)
+        chosen = carriage.stamps
         features = self._features(topic, camera, chosen.tolist())
-        root, link = self._root(pose.parent), pose.parent
-        T = np.stack([self._transform(root, link, stamp) for stamp in chosen.tolist()])
-        step = HALF_STEP * NS_PER_S if self.moves(pose) else 0.0
-        ends = [[self._transform(root, link, stamp + side * step) for stamp in chosen.tolist()] for side in (-1, 1)]
-        frame = topic.frame if topic.frame in self._tree else pose.child
-        T_child_camera = self._transform(pose.child, frame, float(chosen[0]))
-        to_camera = inverse_adjoint(T_child_camera)
-        C = np.zeros((6, 6)) if pose.covariance is None else pose.covariance
         return MovingCamera(
             pose.name,
             camera,
             lens_sigmas(self._accepted, pose.name),
-            pose.matrix @ T_child_camera,
-            to_camera @ C @ to_camera.T,
+            carriage.T_link_sensor,
+            carriage.covariance,
             (chosen - chosen[0]) / NS_PER_S,
             features,
-            T,
-            local(np.stack(ends[0]), np.stack(ends[1])) / (2 * HALF_STEP),
+            carriage.T_root_link,
+            carriage.velocities,
         )
 
     def check_pair(self, one: CalibratedPose, other: CalibratedPose) -> tuple[str, SensorCheck] | None:
         """Check two cameras by each other; None if they move relative to each other, or have no images at one time."""
         try:
-            if self._moves(one.parent, other.parent):
+            if self._frames.moves(one.parent, other.parent):
                 return None
             stamps = [np.array(sorted(self._found.cameras[each.name].stamps.values())) for each in (one, other)]
             chosen = evenly_chosen(stamps[0])
@@ -179,7 +159,7 @@ class _Carried:
             if not len(chosen):
                 return None
             first, second = self.camera(one, chosen), self.camera(other, chosen)
-            T = self._transform(one.parent, other.parent, float(chosen[0]))
+            T = self._frames.transform(one.parent, other.parent, float(chosen[0]))
             return one.name, check_by_each_other(first, replace(second, T_root_link=first.T_root_link @ T))
         except InputError as error:
             return one.name, _untold(other.name, str(error))
@@ -203,39 +183,3 @@ class _Carried:
                 )
             found.append(find_features(image))
         return found
-
-    def _root(self, frame: str) -> str:
-        while frame in self._parent:
-            frame = self._parent[frame]
-        return frame
-
-    def _path(self, start: str, end: str) -> tuple[Step, ...]:
-        return self._tree.path(start, end) if start != end else ()
-
-    def _moves(self, start: str, end: str) -> bool:
-        edges = [(step.parent, step.child) for step in self._path(start, end)]
-        return any(edge not in self._fixed and self._log.moves(edge) for edge in edges)
-
-    def _is_known(self, link: str, stamp: int) -> bool:
-        """Whether the pose of a link was recorded around a time, ns."""
-        try:
-            for side in (-1, 1):
-                self._transform(self._root(link), link, stamp + side * HALF_STEP * NS_PER_S)
-        except InputError:
-            return False
-        return True
-
-    def _transform(self, start: str, end: str, time: float) -> Array:
-        T = np.eye(4)
-        for step in self._path(start, end):
-            edge = (step.parent, step.child)
-            own = self._fixed[edge] if edge in self._fixed else self._log.transform(edge, time)
-            T = T @ (inverse(own) if step.inverted else own)
-        return T
-
-
-def evenly_chosen(stamps: IntArray) -> IntArray:
-    """Return some of the stamps, ns, of images, evenly over the recording."""
-    number = min(MAX_IMAGES, int((stamps[-1] - stamps[0]) / (IMAGE_STEP * NS_PER_S)) + 1)
-    wanted = np.linspace(stamps[0], stamps[-1], number)
-    return np.unique(stamps[np.abs(stamps[:, None] - wanted).argmin(0)])

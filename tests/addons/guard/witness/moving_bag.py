@@ -1,6 +1,6 @@
 """A bag of two cameras on an arm over a table, and the baseline in which they are accepted."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,15 +66,22 @@ class ArmBag:
 
 
 def accepted_cameras(sigma_mm: float = 0.1, sigma_deg: float = 0.01) -> CalibrationDocument:
-    """The accepted calibration."""
+    """The accepted calibration of both cameras."""
     mounts = {"hand": ("camera_link", T_LINK_CAMERA), "other": ("other_link", T_LINK_CAMERA @ T_BESIDE)}
+    return accepted_mounts(
+        {name: ("tool", child, T @ inverse(OPTICAL)) for name, (child, T) in mounts.items()}, sigma_mm, sigma_deg
+    )
+
+
+def accepted_mounts(
+    mounts: Mapping[str, tuple[str, str, Array]], sigma_mm: float = 0.1, sigma_deg: float = 0.01
+) -> CalibrationDocument:
+    """The accepted calibration of sensors: the frames of each, and the pose of the second in the first."""
     return CalibrationDocument(
         data="0" * 64,
         collections=20,
         engine="1",
-        poses=tuple(
-            _pose(name, child, T @ inverse(OPTICAL), sigma_mm, sigma_deg) for name, (child, T) in mounts.items()
-        ),
+        poses=tuple(_pose(name, *mount, sigma_mm, sigma_deg) for name, mount in mounts.items()),
         rejected_labels=0,
         labels=1000,
         iterations=5,
@@ -82,9 +89,9 @@ def accepted_cameras(sigma_mm: float = 0.1, sigma_deg: float = 0.01) -> Calibrat
     )
 
 
-def _pose(name: str, child: str, T: Array, sigma_mm: float, sigma_deg: float) -> CalibratedPose:
+def _pose(name: str, parent: str, child: str, T: Array, sigma_mm: float, sigma_deg: float) -> CalibratedPose:
     rpy = np.degrees(to_rpy(T[:3, :3]))
     return CalibratedPose(
-        "tool", child, tuple((1e3 * T[:3, 3]).tolist()), tuple(rpy.tolist()), name,
+        parent, child, tuple((1e3 * T[:3, 3]).tolist()), tuple(rpy.tolist()), name,
         (sigma_mm,) * 3, (sigma_deg,) * 3, (0.0,) * 15,
     )  # fmt: skip
