@@ -6,6 +6,7 @@ a sensor may have moved at any moment. Points that fit no rigid scene (people, t
 lose their weight by graduated non-convexity (Geman and McClure's kernel; Black and Rangarajan, 1996).
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -316,6 +317,6 @@ def _inverses(V: Array) -> Array:
 def sums_of_groups(values: Array | BoolArray, groups: IntArray) -> Array:
     """Return the sums (G, ...) of values (M, ...) of each group."""
     count = int(groups.max(initial=-1)) + 1
-    flat = np.asarray(values, float).reshape(len(values), -1)
+    flat = np.asarray(values, float).reshape(len(values), math.prod(values.shape[1:]))
     found = np.stack([np.bincount(groups, column, count) for column in flat.T], -1)
     return np.asarray(found.reshape(count, *values.shape[1:]), float)

@@ -27,6 +27,8 @@ MIN_PLANES = 40
 """Parts of planes that fit."""
 SCAN_TIME = 0.1
 """s: time that a scan takes."""
+MAX_CANDIDATES = 2000
+"""Scans of which the motion is looked at, evenly over the recording."""
 LOCALISED_IN = "map"
 """Frame in which a robot is localised (REP 105), mostly by its LiDAR, which is no witness against itself."""
 NO_WITNESS_OF_LIDAR = (
@@ -118,7 +120,8 @@ def _moving_lidar(
     Raises:
         InputError: a scan cannot be decoded, or no pose of the link was recorded near any.
     """
-    every = frames.carriage(pose, frame, np.array(sorted(recorded)), topic)
+    stamps = np.array(sorted(recorded))
+    every = frames.carriage(pose, frame, stamps[:: len(stamps) // MAX_CANDIDATES + 1], topic)
     skew = np.linalg.norm(SCAN_TIME * every.velocities.reshape(-1, 2, 3), axis=-1)
     slow = every.stamps[(skew < [MAX_SKEW_M, MAX_SKEW_RAD]).all(-1)]
     if not len(slow):

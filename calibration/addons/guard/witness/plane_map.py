@@ -31,6 +31,7 @@ MIN_FACING = 0.3
 MAX_NORMAL_RAD, MAX_APART = 0.2, 0.25
 """rad, and relative to the voxel: limits between the patches of one plane, as the accepted mount has them."""
 MIN_SCANS_OF_PLANE = 3
+MIN_RANGE_M, MAX_RANGE_M = 0.01, 500.0
 MAX_POINTS_OF_SCAN = 50_000
 """That are looked at, evenly chosen."""
 MIN_SIGMA_M = 5e-4
@@ -110,7 +111,8 @@ def patches_of_scans(scans: Sequence[Array], poses: Array) -> PlanePatches:
 
 def _returned_points(scan: Array) -> Array:
     """Return the points of a scan that are some; of a large one, evenly, a part."""
-    scan = scan[np.isfinite(scan).all(-1) & (abs(scan) > 0).any(-1)]
+    away = abs(scan).max(-1, initial=0.0)  # not a number, and so left out, where nothing returned
+    scan = scan[(away > MIN_RANGE_M) & (away < MAX_RANGE_M)]
     return scan[:: len(scan) // MAX_POINTS_OF_SCAN + 1]
 
 

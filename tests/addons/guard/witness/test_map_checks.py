@@ -84,6 +84,15 @@ def test_what_hangs_on_the_map_is_no_witness(tmp_path: Path) -> None:
     assert "map" in found.reason
 
 
+def test_a_lidar_that_is_covered_tells_nothing() -> None:
+    seen = room().seen()
+    covered = [
+        np.full_like(scan, value) for scan, value in zip(seen.scans, [np.nan, 0.0, np.inf, 1e300] * 4, strict=True)
+    ]
+    assert check_by_map(replace(seen, scans=covered)).outcome == "cannot-tell"
+    assert check_by_map(replace(seen, scans=[*covered[:4], *seen.scans[4:]])).outcome == "unmoved"
+
+
 @pytest.mark.parametrize(
     "lidar",
     [ScannedRoom(scans=6, rings=8), ScannedRoom(scans=8, rings=8, metres=0.0, radians=0.0)],
