@@ -23,6 +23,8 @@ FIRST_NOISE = (2e-3, 2e-3)
 """m and rad: where EM begins."""
 TAIL_FREEDOM = 10.0
 """Of Student's distribution of the poses' errors."""
+SLIP_FREEDOM = 2.0
+"""Of that of the errors between two poses: a wheel may slip."""
 ANYWHERE = 1.0
 """m and rad: standard deviation of a displacement in directions that nothing tells."""
 MIN_SIDE = 4
@@ -161,17 +163,18 @@ def _noise_covariance(
     """Return the covariances (n, n) of the own errors of the known poses, and of their drift, by REML.
 
     The former are of Student's distribution (Lange, Little and Taylor, 1989): the pose of an image that shows more of
-    what moves than of the scene may be far off.
+    what moves than of the scene may be far off. So is the drift.
     """
     K = (len(evidence.b) - LENS_COLUMNS) // 6
     Phi, level, weights = _columns(begins, K), np.repeat(FIRST_NOISE, 3), np.ones(K)
-    drift_level = level
+    drift_level, drift_weights = level, np.ones(K - 1)
     white, drifted = np.zeros_like(fixed), np.zeros_like(fixed)
     at = np.arange(6 * K)
     for _ in range(EM_STEPS):
         white[at, at] = (level**2 / weights[:, None]).ravel()
         if drift is not None:
-            drifted = (drift * np.tile(drift_level**2, K - 1)) @ drift.T
+            drift_variances = (drift_level**2 / drift_weights[:, None]).ravel()
+            drifted = (drift * drift_variances) @ drift.T
         M = np.linalg.solve(np.eye(len(fixed)) + evidence.S @ (white + drifted + fixed), np.c_[evidence.S, evidence.b])
         M, Gb = M[:, :-1], M[:, -1]
         MPhi = M @ Phi
@@ -184,8 +187,10 @@ def _noise_covariance(
         level = np.maximum(_next_level(level, weights[:, None] * squares), known)
         if drift is not None:
             along = np.asarray(((used.T @ drift) * drift).sum(0), float)
-            squares = _expected_squares(np.tile(drift_level**2, K - 1), np.asarray(drift.T @ pulls, float), along)
-            drift_level = _next_level(drift_level, squares)
+            squares = _expected_squares(drift_variances, np.asarray(drift.T @ pulls, float), along)
+            if np.isfinite(tail_freedom):
+                drift_weights = (SLIP_FREEDOM + 6) / (SLIP_FREEDOM + (squares / drift_level**2).sum(1))
+            drift_level = _next_level(drift_level, drift_weights[:, None] * squares)
     return white, drifted
 
 
