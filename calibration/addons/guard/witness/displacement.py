@@ -189,8 +189,9 @@ def _noise_covariance(
             along = np.asarray(((used.T @ drift) * drift).sum(0), float)
             squares = _expected_squares(drift_variances, np.asarray(drift.T @ pulls, float), along)
             if np.isfinite(tail_freedom):
-                drift_weights = (SLIP_FREEDOM + 6) / (SLIP_FREEDOM + (squares / drift_level**2).sum(1))
-            drift_level = _next_level(drift_level, drift_weights[:, None] * squares)
+                own = (SLIP_FREEDOM + 6) / (SLIP_FREEDOM + (squares / drift_level**2).sum(1))
+                drift_weights = np.minimum(own, 1.0)  # a slip makes no other step more certain
+            drift_level = _next_level(drift_level, squares)
     return white, drifted
 
 
