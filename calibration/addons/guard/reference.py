@@ -4,7 +4,6 @@ Features and their places, no images: some ten kilobytes a camera. It is kept in
 """
 
 import base64
-import binascii
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -130,7 +129,7 @@ def _text_of_array(values: np.ndarray) -> str:
 def _bytes_of(text: str, key: str, size: int) -> bytes:
     try:
         found = base64.b64decode(text, validate=True)
-    except binascii.Error:
+    except ValueError:  # of binascii too, and of letters beyond ASCII
         raise Misfit("found no base64, expected it", key) from None
     if len(found) % size or len(found) > MAX_KEPT * size:
         raise Misfit(f"found {len(found)} bytes, expected {size} for each of at most {MAX_KEPT} features", key)
