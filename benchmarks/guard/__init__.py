@@ -21,12 +21,12 @@ from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.reference import KeptCamera
 from calibration.robot.labelling.detection import Image
 
-SECONDS = 6.0
+CLIP_SECONDS = 6.0
 CLIPS_PER_ROOM = 20
 SMALLEST_PX, LARGEST_PX = 0.05, 40.0
 """px: sizes of planted shifts, evenly in their logarithm."""
 MOST_FOUND_LATE_S = 1.0
-SIGMAS = 5
+MIN_FOUND_SIGMAS = 5
 """Stated standard deviations from which on a planted shift must be found."""
 
 
@@ -39,7 +39,7 @@ class Planted(NamedTuple):
 
     @property
     def is_red(self) -> bool:
-        """Whether it is found, at its time."""
+        """Whether the check is red, and its moment is within `MOST_FOUND_LATE_S` of the planted one."""
         at = self.found.since
         return self.found.red and at is not None and abs(at - self.since) <= MOST_FOUND_LATE_S
 
@@ -57,9 +57,9 @@ def measure(quick: bool) -> Iterator[Row]:
     note = f"{len(red)} of {unmoved} clips with people, light, noise, compression, moved things"
     yield Row("guard/fixed/false red", 100 * len(red) / unmoved, "%", Bar(high=0.1), note)
     shifts = list(planted_shifts(range(planted)))
-    clear = [each for each in shifts if each.sigmas >= SIGMAS]
+    clear = [each for each in shifts if each.sigmas >= MIN_FOUND_SIGMAS]
     found = sum(each.is_red for each in clear)
-    note = f"{found} of {len(clear)} shifts of {SIGMAS} and more stated deviations, within {MOST_FOUND_LATE_S:g} s"
+    note = f"{found} of {len(clear)} shifts of {MIN_FOUND_SIGMAS} and more sigma, within {MOST_FOUND_LATE_S:g} s"
     yield Row("guard/fixed/found", 100 * found / len(clear), "%", Bar(low=99), note)
     yield Row("guard/fixed/smallest in 99 %", smallest_found(shifts), "px", Bar(high=0.5), "and all above")
     checks = list(untold_clips(range(untold)))
@@ -77,7 +77,7 @@ def reference_of(room: Room, seed: int) -> KeptCamera:
     return kept_camera("room", "camera", room.camera, as_recorded(images), "0" * 64)
 
 
-def _clips(seeds: range) -> Iterator[tuple[int, Room, KeptCamera, np.random.Generator]]:
+def _clips_of_rooms(seeds: range) -> Iterator[tuple[int, Room, KeptCamera, np.random.Generator]]:
     """Yield a seed, its room with its reference, and its random numbers."""
     known: tuple[int, Room, KeptCamera] | None = None
     for seed in seeds:
@@ -88,7 +88,7 @@ def _clips(seeds: range) -> Iterator[tuple[int, Room, KeptCamera, np.random.Gene
         yield seed, known[1], known[2], np.random.default_rng([2, seed])
 
 
-def _disturbed(random: np.random.Generator) -> Disturbances:
+def _drawn_disturbances(random: np.random.Generator) -> Disturbances:
     return Disturbances(
         people=int(random.integers(0, 5)),
         light=float(random.uniform(0.1, 0.6)),
@@ -99,27 +99,27 @@ def _disturbed(random: np.random.Generator) -> Disturbances:
     )
 
 
-def _checked(kept: KeptCamera, images: list[Image]) -> SensorCheck:
+def _check_of_images(kept: KeptCamera, images: list[Image]) -> SensorCheck:
     return check_fixed_camera(kept, as_recorded(images))
 
 
 def unmoved_clips(seeds: range) -> Iterator[SensorCheck]:
     """Yield what is said of clips in which the camera stands still."""
-    for seed, room, kept, random in _clips(seeds):
-        clip = Clip(room, Displacement(), None, SECONDS, _disturbed(random), seed)
-        yield _checked(kept, list(clip.images()))
+    for seed, room, kept, random in _clips_of_rooms(seeds):
+        clip = Clip(room, Displacement(), None, CLIP_SECONDS, _drawn_disturbances(random), seed)
+        yield _check_of_images(kept, list(clip.images()))
 
 
 def planted_shifts(seeds: range) -> Iterator[Planted]:
     """Yield what is found of rotations about any axis, in the middle of a clip."""
-    for seed, room, kept, random in _clips(seeds):
+    for seed, room, kept, random in _clips_of_rooms(seeds):
         size = float(np.exp(random.uniform(math.log(SMALLEST_PX), math.log(LARGEST_PX))))
         axis = random.normal(size=3)
         rotation = np.degrees(size / room.camera.fx) * axis / np.linalg.norm(axis)
         since = float(random.integers(4, 9)) / 2
         moved = Displacement(rotation_deg=tuple(rotation.tolist()))
-        clip = Clip(room, moved, since, SECONDS, _disturbed(random), seed)
-        yield Planted(size, since, _checked(kept, list(clip.images())))
+        clip = Clip(room, moved, since, CLIP_SECONDS, _drawn_disturbances(random), seed)
+        yield Planted(size, since, _check_of_images(kept, list(clip.images())))
 
 
 def smallest_found(shifts: list[Planted]) -> float:
@@ -133,47 +133,50 @@ def smallest_found(shifts: list[Planted]) -> float:
 def untold_clips(seeds: range) -> Iterator[SensorCheck]:
     """Yield what is said of clips of which nothing can be told."""
     kinds = (_black, _bare, _another_room, _all_moves, _waved, _covered)
-    for seed, room, kept, random in _clips(seeds):
-        yield _checked(kept, kinds[seed % len(kinds)](room, seed, random))
+    for seed, room, kept, random in _clips_of_rooms(seeds):
+        yield _check_of_images(kept, kinds[seed % len(kinds)](room, seed, random))
 
 
-def _taken(room: Room, seed: int, seconds: float = SECONDS) -> list[Image]:
+def _images_of_still_camera(room: Room, seed: int, seconds: float = CLIP_SECONDS) -> list[Image]:
     return list(Clip(room, Displacement(), None, seconds, Disturbances(), seed).images())
 
 
 def _black(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
-    return [np.clip(random.normal(2, 1.5, image.shape), 0, 255).astype(np.uint8) for image in _taken(room, seed)]
+    return [
+        np.clip(random.normal(2, 1.5, image.shape), 0, 255).astype(np.uint8)
+        for image in _images_of_still_camera(room, seed)
+    ]
 
 
 def _bare(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
-    return [np.asarray(cv2.GaussianBlur(image, (0, 0), 40), np.uint8) for image in _taken(room, seed)]
+    return [np.asarray(cv2.GaussianBlur(image, (0, 0), 40), np.uint8) for image in _images_of_still_camera(room, seed)]
 
 
 def _another_room(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
-    return _taken(Room.drawn(random), seed)
+    return _images_of_still_camera(Room.drawn(random), seed)
 
 
 def _all_moves(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
-    return [_taken(Room.drawn(random), seed + i, 0.5)[0] for i in range(round(2 * SECONDS))]
+    return [_images_of_still_camera(Room.drawn(random), seed + i, 0.5)[0] for i in range(round(2 * CLIP_SECONDS))]
 
 
 def _waved(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
-    turns = random.normal(0, 1.5, (round(2 * SECONDS), 3)).tolist()
+    turns = random.normal(0, 1.5, (round(2 * CLIP_SECONDS), 3)).tolist()
     clips = (Clip(room, Displacement(rotation_deg=tuple(turn)), 0.0, 0.5, Disturbances(), seed) for turn in turns)
     return [next(clip.images()) for clip in clips]
 
 
 def _covered(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
-    images = _taken(room, seed)
+    images = _images_of_still_camera(room, seed)
     return [image if i < len(images) / 2 else np.full_like(image, 30) for i, image in enumerate(images)]
 
 
 def _time_of_two_minutes() -> Iterator[Row]:
-    seed, room, kept, _ = next(_clips(range(1)))
+    seed, room, kept, _ = next(_clips_of_rooms(range(1)))
     turned = Displacement(rotation_deg=(0, 0.3, 0))
     images = list(Clip(room, turned, 60.0, 120.0, Disturbances(), seed).images())
     begin, cpu = time.perf_counter(), time.process_time()
-    _checked(kept, images)
+    _check_of_images(kept, images)
     note = f"{time.process_time() - cpu:.1f} s of processors, without decoding"
     yield Row("guard/fixed/two minutes", time.perf_counter() - begin, "s", Bar(high=20), note)
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 - sum(image.nbytes for image in images) / 2**20

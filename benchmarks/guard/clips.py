@@ -39,10 +39,10 @@ def camera_of_room() -> Camera:
 
 @dataclass(frozen=True)
 class Displacement:
-    """What happens to a camera."""
+    """Planted displacement of a camera: a turn, a shift, a change of its lens."""
 
     rotation_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Of its axes (x right, y down, z forward)."""
+    """Rotation vector in the camera's axes (x right, y down, z forward), degrees."""
     translation_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     zoom: float = 0.0
     """Relative change of the focal length."""
@@ -52,7 +52,7 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What is not a displacement."""
+    """What changes in a clip without a displacement of the camera: people, light, noise, compression."""
 
     people: int = 2
     light: float = 0.3
@@ -60,7 +60,7 @@ class Disturbances:
     noise: float = 3.0
     """Standard deviation of 255."""
     quality: int = 75
-    """Of JPEG."""
+    """Quality of the JPEG compression, 0 to 100."""
     shadows: int = 2
     moved_objects: int = 1
     """Things of the room that stand elsewhere than in the reference."""
@@ -210,10 +210,10 @@ class Clip:
             image = light.on(image, time / self.seconds)
             for each in people:
                 each.draw(image, time)
-            yield _taken(image, self.disturbances, random)
+            yield _image_with_disturbances(image, self.disturbances, random)
 
 
-def _taken(image: Array, disturbances: Disturbances, random: np.random.Generator) -> Image:
+def _image_with_disturbances(image: Array, disturbances: Disturbances, random: np.random.Generator) -> Image:
     """Return an image as a camera takes, compresses and sends it."""
     noise = random.standard_normal(image.shape, np.float32) * disturbances.noise
     taken = np.clip(image + noise, 0, 255).astype(np.uint8)

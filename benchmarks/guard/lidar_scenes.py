@@ -27,7 +27,7 @@ class ScannedRoom:
     azimuths: int = 300
     noise_m: float = 0.01
     offset_m: float = 0.0
-    """What all ranges have in common."""
+    """Error that all ranges of the simulated LiDAR share, m."""
     pose_noise: tuple[float, float] = (1e-3, 1e-3)
     """m and rad."""
     drift: tuple[float, float] = (0.0, 0.0)

@@ -54,7 +54,11 @@ def measure(quick: bool) -> Iterator[Row]:
         seen = float(np.median([each.unseen_deg or math.inf for each in checks]))
         note = f"{unmoved} rooms; {seen:.2f} degrees would be seen (median)"
         yield Row(
-            f"guard/{carrier}'s LiDAR/false red", 100 * np.mean([each.red for each in checks]), "%", Bar(high=0.1), note
+            f"guard/{carrier}'s LiDAR/false red",
+            100 * sum(each.red for each in checks) / unmoved,
+            "%",
+            Bar(high=0.1),
+            note,
         )
         for name, size in ((f"{degrees:g} deg", (degrees, 0.0)), (f"{1e3 * metres:g} mm", (0.0, metres))):
             found = displaced_lidars(carrier, range(planted), *size)
