@@ -3,8 +3,8 @@
 OpenCV finds all corners or circles, or none; they are refined, and bad ones are removed.
 
 Of chessboards OpenCV has two detectors. The older one takes a quarter of the time on photographs, and finds most of
-what the newer one misses, but also parts of larger boards and of charuco boards: what it finds is compared with the
-print, inside and around it. The newer one searches what is left.
+what the newer one misses. Both find parts of larger boards too, the newer one with every second column left out, the
+older one also charuco boards: what they find is compared with the print, inside and around it.
 
 Where a circle is in the image is measured as the centre of its dark area, which blur does not move. The centre of that
 area is not the image of the circle's centre once the board is tilted or the lens bends it: J. Heikkila, O. Silven, "A
@@ -91,9 +91,7 @@ class ChessboardDetector:
             or min(image.shape) < MIN_PIXELS_PER_SQUARE * 3
         ):
             return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no such pattern")
-        rough = self._find_by_older_detector(image, 2 if max(image.shape) > MIN_LARGE_SIDE else 1)
-        if rough is None and (rough := self._find_corners(image)) is None and max(image.shape) > MIN_LARGE_SIDE:
-            rough = self._find_by_older_detector(image, 1)
+        rough = next((grid for grid in self._find_grids(image) if self._looks_printed(image, grid)), None)
         if rough is None:
             return NotDetected("not all corners of the chessboard are found")
         pixels = self._sort_by_id(image, rough).reshape(-1, 2)
@@ -104,36 +102,35 @@ class ChessboardDetector:
             return NotDetected(f"{int((~found).sum())} of {len(found)} corners do not look like corners of a board")
         return CornerLabels(np.flatnonzero(found), np.round(refined[found], CORNER_DECIMALS))
 
-    def _find_corners(self, image: Image) -> Array | None:
-        """Find the corners (rows, columns, 2) in some order along rows and columns; None if there are none.
+    def _find_grids(self, image: Image) -> Iterator[Array]:
+        """Find grids (rows, columns, 2) in some order along rows and columns; some are parts of other boards.
 
         Large images are first searched at half their size: in a quarter of the time, and the corners are then
         refined in the full image.
         """
         size = self._columns, self._rows
-        for reduced, smaller in _reduced_images(image):
-            found, corners = cv2.findChessboardCornersSB(smaller, size, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+        halved = max(image.shape) > MIN_LARGE_SIDE
+        older = (cv2.findChessboardCorners, OLDER_DETECTOR)
+        newer = (cv2.findChessboardCornersSB, cv2.CALIB_CB_NORMALIZE_IMAGE)
+        searches = ((2, older), (2, newer), (1, newer), (1, older)) if halved else ((1, older), (1, newer))
+        for reduced, (search, flags) in searches:
+            found, corners = search(_reduce_image(image, reduced), size, flags=flags)
             if found:
-                return _full_size_grid(corners, reduced, size)
-        return None
-
-    def _find_by_older_detector(self, image: Image, reduced: int) -> Array | None:
-        """Find the corners like `_find_corners`; None also for a charuco board, or a part of a larger board."""
-        size = self._columns, self._rows
-        found, corners = cv2.findChessboardCorners(_reduce_image(image, reduced), size, flags=OLDER_DETECTOR)
-        if not found:
-            return None
-        grid = _full_size_grid(corners, reduced, size)
-        return grid if self._looks_printed(image, grid) else None
+                yield _full_size_grid(corners, reduced, size)
 
     def _looks_printed(self, image: Image, grid: Array) -> bool:
-        """Whether the image looks like the print around most corners of a grid, and does not go on beyond any side."""
+        """Whether the image looks like the print around most corners of a grid, and does not go on beyond any side.
+
+        The likeness changes its sign where the grid leaves out every second column of a larger board.
+        """
         predicted = predict(self._places, grid.reshape(-1, 2), self._with_ring)
-        likeness = np.abs(self._patches.likeness(image, predicted.pixels, predicted.jacobians))
+        likeness = self._patches.likeness(image, predicted.pixels, predicted.jacobians)
+        likeness = likeness.reshape(self._rows + 2, self._columns + 2)
+        likeness *= np.sign(np.nansum(likeness[1:-1, 1:-1]))  # the grid may begin at a white square
         # the part of a patch that the image's edge leaves may look like anything
         room = np.abs(predicted.jacobians).sum(axis=-1) / 2
         whole = ((predicted.pixels > room) & (predicted.pixels < np.array(image.shape[::-1]) - 1 - room)).all(axis=-1)
-        alike = ((likeness > MIN_LIKENESS) & whole).reshape(self._rows + 2, self._columns + 2)
+        alike = (likeness > MIN_LIKENESS) & whole.reshape(likeness.shape)
         beyond = (alike[0, 1:-1], alike[-1, 1:-1], alike[1:-1, 0], alike[1:-1, -1])
         return bool(alike[1:-1, 1:-1].mean() >= LEAST_SHARE and max(side.mean() for side in beyond) < 0.5)
 
@@ -149,7 +146,7 @@ def _reduce_image(image: Image, reduced: int) -> Image:
     return np.asarray(cv2.resize(image, None, fx=1 / reduced, fy=1 / reduced, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _reduced_images(image: Image) -> Iterator[tuple[int, Image]]:
+def reduced_images(image: Image) -> Iterator[tuple[int, Image]]:
     """Yield the factors by which an image is searched, and the images: a large one first at half its size."""
     for reduced in (2, 1) if max(image.shape) > MIN_LARGE_SIDE else (1,):
         yield reduced, _reduce_image(image, reduced)
@@ -271,7 +268,7 @@ class CirclesDetector:
         """Find the circles (rows, columns, 2) in some order along rows and columns; a large image at half its size."""
         columns, rows = self._dimension
         layout = cv2.CALIB_CB_ASYMMETRIC_GRID if self._asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
-        for reduced, smaller in _reduced_images(image):
+        for reduced, smaller in reduced_images(image):
             finder = blob_finder(smaller.size / (columns * rows))
             for way in (0, cv2.CALIB_CB_CLUSTERING):
                 found, centres = cv2.findCirclesGrid(smaller, (columns, rows), flags=layout | way, blobDetector=finder)

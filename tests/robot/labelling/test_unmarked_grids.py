@@ -172,6 +172,17 @@ def test_a_part_of_a_larger_board_is_none(monkeypatch: pytest.MonkeyPatch, large
         assert isinstance(found, CornerLabels) == is_whole
 
 
+def test_every_second_column_of_a_larger_board_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenCV's newer detector found a board of 8 x 5 corners in photographs of one of 11 x 8."""
+    monkeypatch.setattr(cv2, "findChessboardCorners", nothing_found)
+    pattern, part = chessboard(11, 8), chessboard(8, 5)
+    T = facing(pattern, 1.2, 0.3, 0.5)
+    every_second = true_corners(VGA, pattern, T).reshape(8, 11, 2)[:, 1::2].swapaxes(0, 1)
+    corners = every_second.reshape(-1, 1, 2).astype(np.float32)
+    monkeypatch.setattr(cv2, "findChessboardCornersSB", lambda *_, **__: (True, corners))
+    assert isinstance(ChessboardDetector(part).detect(Photograph(VGA).of(pattern, T)), NotDetected)
+
+
 def test_a_charuco_board_is_no_chessboard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(cv2, "findChessboardCornersSB", nothing_found)
     board = charuco(10, 7)

@@ -21,7 +21,7 @@ from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
 from calibration.robot.labelling.markers import MarkerFinder, Markers, turned_tags
-from calibration.robot.labelling.unmarked_grids import LEAST_CIRCLES, LEAST_CORNERS, blob_finder
+from calibration.robot.labelling.unmarked_grids import LEAST_CIRCLES, blob_finder, reduced_images
 
 MIN_BOARD_MARKERS = 6
 """Least number of markers in one image that indicate a board, also for a chessboard."""
@@ -38,8 +38,6 @@ MAX_ALIKE = 1.4
 _DICTIONARY_SIZES = (50, 100, 250, 1000)
 LOOKED_AT = 8
 """Number of images that are searched for other patterns."""
-_OFF_BY = ((-1, -1), (-1, 0), (0, -1), (1, 1), (1, 0), (0, 1), (-2, -2))
-"""Typical errors in counting corners."""
 IN_PLACE = 0.5
 """Least share of neighbouring markers that are where the described board has them."""
 GAP_OFF = 0.2
@@ -122,7 +120,8 @@ def _repeated_ids(found: Sequence[Markers]) -> dict[int, int]:
 def shown_chessboard(images: Sequence[Image]) -> PatternConfiguration | None:
     """Return the chessboard, of any number of squares, in one of some grey images; None without one."""
     for image in _some_images(images):
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(image, LEAST_BOARD, cv2.CALIB_CB_LARGER)
+        _, smaller = next(reduced_images(image))
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(smaller, LEAST_BOARD, cv2.CALIB_CB_LARGER)
         rows, columns = meta.shape[:2] if found else (0, 0)
         if found and _is_in(
             image, board := _pattern_of_unit_size("chessboard", (columns, rows))
@@ -359,18 +358,16 @@ def check_told_apart(patterns: Mapping[str, PatternConfiguration]) -> None:
             )
 
 
-def _describe_chessboard(pattern: PatternConfiguration, images: Iterable[Image]) -> str:
-    """Describe a chessboard of nearly that size."""
-    columns, rows = pattern.dimension
-    for image in images:
-        for more in _OFF_BY:
-            size = (columns + more[0], rows + more[1])
-            if min(size) >= LEAST_CORNERS and cv2.findChessboardCornersSB(image, size)[0]:
-                return (
-                    f"; found one of {size[0]} x {size[1]} corners: are columns and rows those of the printed board "
-                    "(corners inside: squares less one)?"
-                )
-    return ""
+def _describe_chessboard(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
+    """Describe a chessboard of another size."""
+    shown = shown_chessboard(images)
+    if shown is None or sorted(shown.dimension) == sorted(pattern.dimension):
+        return ""
+    columns, rows = sorted(shown.dimension, reverse=pattern.dimension[0] > pattern.dimension[1])
+    return (
+        f"; found one of {columns} x {rows} corners: are columns and rows those of the printed board "
+        "(corners inside: squares less one)?"
+    )
 
 
 def _describe_circles(pattern: PatternConfiguration, images: Sequence[Image]) -> str:
