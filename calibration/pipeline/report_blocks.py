@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base.text import rounded
 from calibration.base.verdict import worst_verdict
 from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange
@@ -307,7 +308,7 @@ def recordings_table(results: PipelineResults) -> Table:
 def _vector_text(values: Sequence[float], sigmas: Sequence[float] | None, factor: float, digits: int) -> str:
     """Format three numbers with the norm of their standard deviations: "10.00, -3.25, 0.40 ± 0.023"."""
     text = ", ".join(f"{round(factor * value, digits) + 0.0:.{digits}f}" for value in values)  # no -0.00
-    return text if sigmas is None else f"{text} ± {factor * math.hypot(*sigmas):.2g}"
+    return text if sigmas is None else f"{text} ± {rounded(factor * math.hypot(*sigmas), 2)}"
 
 
 def _distance_text(transform: TransformResult) -> str:
