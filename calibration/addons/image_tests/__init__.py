@@ -5,8 +5,8 @@ Nothing of the image is trusted: containers have the limits of jobs, and their r
 - ``settings``: an entry of the section ``tests``, and its job;
 - ``run_tests.sh``: what the container runs: finds the tool of the workspace, and collects reports and coverage;
 - ``judging``: the files and the end of one run, as its verdict;
-- ``results``, ``report``: what was found, and how it is shown;
-- ``running``: all entries, with their repeats and retries; ``stage``, ``test_image``: the stage and the command.
+- ``results``: what was found, and its report;
+- ``running``: all entries, with their repeats and retries, and the stage; ``test_image``: the command.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
@@ -22,7 +22,7 @@ ADDON = Addon(
     },
     stages={
         "test": AddonStage(
-            f"{__name__}.stage:test_stage",
+            f"{__name__}.running:test_stage",
             section="tests",
             result=DocumentSection(f"{__name__}.results:Tested", "Tests in the image, where calibration.yml has any."),
             needs_image=True,

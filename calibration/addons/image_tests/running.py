@@ -1,4 +1,4 @@
-"""All entries of ``tests`` with their repeats and retries."""
+"""All entries of ``tests`` with their repeats and retries, and the stage test of a pipeline."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -6,8 +6,14 @@ from itertools import takewhile
 from pathlib import Path, PurePosixPath
 
 from calibration.addons.image_tests.judging import JudgedRun, judge_run
-from calibration.addons.image_tests.report import TITLE, report
-from calibration.addons.image_tests.results import MAX_NAMED_TESTS, ImageTestsResults, TestsOfEntry, results_of_entry
+from calibration.addons.image_tests.results import (
+    MAX_NAMED_TESTS,
+    ImageTestsResults,
+    Tested,
+    TestsOfEntry,
+    report,
+    results_of_entry,
+)
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base.errors import InputError
 from calibration.base.flake_rate import runs_show
@@ -16,10 +22,12 @@ from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import with_secrets
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.git import Repository
+from calibration.ci.image.specification import Recipe
 from calibration.ci.report import FILES, Report, remove_results
 from calibration.ci.report.repeated import RepeatedFailure, repeated_failures
-from calibration.ci.workflow import Runner
+from calibration.ci.workflow import Runner, annotate
 from calibration.ci.workflow.progress import progress
+from calibration.pipeline.stages.running import PipelineRun
 
 
 def run_image_tests(
@@ -127,4 +135,35 @@ def check_tests(entries: Sequence[ImageTests], has_image: bool) -> None:
             raise InputError(f"tests.{tests.name}: missing image, as there is no section image that builds one")
 
 
-__all__ = ["TITLE", "check_tests", "run_image_tests"]
+STAGE_FOLDER = "tests"
+
+
+def test_stage(run: PipelineRun) -> PipelineRun:
+    """Run the tests; one that fails is a reason of the verdict.
+
+    Raises:
+        InputError: a job is invalid, a secret is not set, or an image is missing.
+        InfrastructureError: there is no engine, or a file cannot be written.
+    """
+    entries: tuple[ImageTests, ...] = run.sections.of("tests")
+    check_tests(entries, run.image is not None)
+    image = run.results.image.reference if run.results.image else ""
+    source = run.image.source if run.image else None
+    workspace = source.workspace.path if isinstance(source, Recipe) and source.workspace else None
+    folder = run.output / STAGE_FOLDER
+    repository = run.config.parent if run.config else Path()
+    tests = [each.with_defaults(image, workspace) for each in entries]
+    report, found = run_image_tests(tests, folder, repository, run.target, run.runner)
+    report.write(folder)
+    annotate(run.runner, report.annotations)
+    runs = [each for entry in found.tests for each in entry.runs]
+    result = Tested(
+        passed=sum(each.passed for each in runs),
+        failed=sum(each.failed for each in runs),
+        folder=STAGE_FOLDER,
+        reasons=tuple(f"tests: {reason}" for reason in found.reasons),
+    )
+    return run.with_result("tests", result)
+
+
+test_stage.__test__ = False  # type: ignore[attr-defined] # keeps pytest from collecting it

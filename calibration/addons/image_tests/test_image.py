@@ -6,7 +6,8 @@ from typing import Any
 
 import click
 
-from calibration.addons.image_tests.running import TITLE, run_image_tests
+from calibration.addons.image_tests.results import TITLE
+from calibration.addons.image_tests.running import run_image_tests
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import field, flat_fields, read, record

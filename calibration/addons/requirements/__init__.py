@@ -2,11 +2,12 @@
 
 - ``settings``: the section ``requirements`` of calibration.yml;
 - ``message_fields``: fields of a message, read from its bytes;
-- ``requirement``: the state machine that every requirement is; ``topics``, ``frames``, ``presence``: the short ones;
+- ``requirement``: the state machine that every requirement is; ``topics``: those of one topic;
 - ``hpl``, ``predicates``, ``patterns``: properties in HPL;
-- ``judging``: a bag is read once, and each requirement fed with the messages of its topics;
+- ``judging``: a bag is read once, and each requirement fed with the messages of its topics; those of frames, nodes
+  and services;
 - ``live``: a watch by rosbridge while the containers run, which only ends early what has failed already;
-- ``results``, ``report``: the output; ``check_messages``: the command; ``stage``: the stage judge of a pipeline.
+- ``results``: the output; ``check_messages``: the command; ``stage``: the stage judge of a pipeline.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile

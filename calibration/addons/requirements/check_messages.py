@@ -8,8 +8,7 @@ from typing import Any
 import click
 
 from calibration.addons.requirements.judging import judge_bag
-from calibration.addons.requirements.report import TITLE, report
-from calibration.addons.requirements.results import MessageResults
+from calibration.addons.requirements.results import TITLE, MessageResults, report
 from calibration.addons.requirements.settings import RECORDED_PREFIX, RequirementSettings
 from calibration.base.documents import read_yaml
 from calibration.base.errors import ExitCode, InputError

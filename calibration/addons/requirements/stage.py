@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from calibration.addons.requirements.check_messages import judged
-from calibration.addons.requirements.report import annotations_of
-from calibration.addons.requirements.results import JudgedMessages, MessageResults
+from calibration.addons.requirements.results import JudgedMessages, MessageResults, annotations_of
 from calibration.addons.requirements.settings import RequirementSettings
 from calibration.base.errors import InputError
 from calibration.ci.execution.recorder import MESSAGES_FOLDER
