@@ -6,7 +6,7 @@ Knows nothing of calibration, and runs nothing of what it analyses.
 - ``copies``: the tracked files, and those of an earlier commit, as folders without links;
 - ``analysers``: the external programs and our own checks, and their output as findings;
 - ``comparison``: new findings; ``metrics``: complexity, duplicates and a grade;
-- ``results``, ``sarif``, ``report``: the output formats;
+- ``results``, ``report``: the output formats, SARIF among them;
 - ``static_analysis``: the command, the stage analyse of a pipeline, and what they do.
 """
 

@@ -20,9 +20,8 @@ from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, R
 from calibration.addons.analysis.comparison import Compared, Located, compare, with_content
 from calibration.addons.analysis.copies import Copy, before, chosen_files, copied
 from calibration.addons.analysis.metrics import BADGE_FILE, CodeMetrics, measure
-from calibration.addons.analysis.report import TITLE, report
+from calibration.addons.analysis.report import SARIF_FILE, TITLE, compare_with_earlier, read_earlier, report, sarif
 from calibration.addons.analysis.results import Analysed, AnalysisResults, CodeFinding, Tool
-from calibration.addons.analysis.sarif import SARIF_FILE, compare_with_earlier, read_earlier, sarif
 from calibration.addons.analysis.settings import (
     SUPPRESSIONS_FILE,
     AnalysisSettings,

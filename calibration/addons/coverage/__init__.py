@@ -5,7 +5,7 @@ Independent of calibration.
 - ``coverage_upload``: the command;
 - ``lines``: covered lines, branches and functions of a file;
 - ``tests``: the test command and its outcome; ``coverage_py``: coverage.py in the team's own Python, and its data;
-- ``formats``, ``gcov``: reports of other tools (Cobertura, LCOV, gcov);
+- ``formats``: reports of other tools (Cobertura, LCOV, gcov);
 - ``sources``, ``reading``: the commit and the files that coverage is of, and their coverage;
 - ``codacy``: the service that receives it;
 - ``functions``, ``pseudo_tested``, ``workers``: functions that tests run and do not test;

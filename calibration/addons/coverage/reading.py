@@ -10,9 +10,15 @@ from pathlib import Path
 from typing import Any, Self
 
 from calibration.addons.coverage.coverage_py import SQLITE_MAGIC, copied, measured_names, merge, report_of
-from calibration.addons.coverage.formats import MAX_BYTES, CoverageReport, parse_cobertura, parse_lcov
+from calibration.addons.coverage.formats import (
+    GCOV_START,
+    MAX_BYTES,
+    CoverageReport,
+    parse_cobertura,
+    parse_gcov,
+    parse_lcov,
+)
 from calibration.addons.coverage.functions import functions_of
-from calibration.addons.coverage.gcov import GCOV_START, parse_gcov
 from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, language_of
 from calibration.base.errors import InputError

@@ -3,14 +3,14 @@
 - ``settings``: the section ``delivery``; ``manifest``: what a bundle says of itself;
 - ``archive``: the tar of a bundle, which has one possible form;
 - ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
-- ``bundling``: a bundle of the results of a run; ``writing``: its files;
+- ``bundling``: a bundle of the results of a run, and its files;
 - ``bundle``: the command and the stage;
-- ``changes``: what differs between two bundles, and the version that follows; ``destinations``, ``artifact``,
-  ``release``: a folder, a registry, GitHub's releases; ``delivering``: delivery to them; ``deliver``: the command;
+- ``destinations``: a bundle in a file, a folder or a registry; ``artifact``, ``release``: delivery to a registry, and
+  to GitHub's releases;
+- ``changes``: what differs between two bundles, the version that follows, and delivery; ``deliver``: the command;
 - ``fleet``: the command that compares the robots of a fleet;
-- ``fetching``: a bundle read from a file, a folder or a registry;
 - ``checking``: whether a bundle is accepted on this robot;
-- ``poses``, ``in_use``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
+- ``in_use``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
 - ``results``: the output; ``verify``: the command, which needs no numpy.
 """
 

@@ -5,13 +5,15 @@ import json
 from dataclasses import dataclass, field
 
 from calibration.addons.delivery.attestation import ATTESTATION_ENDING
-from calibration.addons.delivery.destinations import CHANGELOG_FILE, Delivery, taken_meanwhile
-from calibration.addons.delivery.fetching import (
+from calibration.addons.delivery.destinations import (
     ARTIFACT_TYPE,
     ATTESTATION_LAYER,
     BUNDLE_LAYER,
+    CHANGELOG_FILE,
+    Delivery,
     FetchedBundle,
     read_artifact,
+    taken_meanwhile,
 )
 from calibration.base.errors import InputError
 from calibration.ci.registries.reference import Reference

@@ -6,10 +6,9 @@ from typing import Any
 
 import click
 
-from calibration.addons.delivery.bundling import RunToBundle, make_bundle, with_collected
+from calibration.addons.delivery.bundling import BUNDLE_FOLDER, RunToBundle, make_bundle, with_collected, write_bundle
 from calibration.addons.delivery.results import BundleResults, Delivered
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
-from calibration.addons.delivery.writing import BUNDLE_FOLDER, write_bundle
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import changed, field, record
 from calibration.base.text import one_line

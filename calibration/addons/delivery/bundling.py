@@ -1,6 +1,7 @@
-"""A bundle made of the results of a run: which systems are in it, its manifest and its files."""
+"""A bundle made of the results of a run: which systems are in it, its manifest, its files and its signature."""
 
 import hashlib
+import json
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,6 +12,14 @@ from typing import NamedTuple
 
 from calibration import __version__
 from calibration.addons.delivery.archive import pack_files, unpack_files
+from calibration.addons.delivery.attestation import (
+    ATTESTATION_ENDING,
+    MAX_KEY_BYTES,
+    parse_signing_key,
+    signed_envelope,
+    statement_of,
+    test_result,
+)
 from calibration.addons.delivery.manifest import (
     MANIFEST_FILE,
     MANIFEST_VERSION,
@@ -22,14 +31,16 @@ from calibration.addons.delivery.manifest import (
     Manifest,
     SystemLeftOut,
 )
-from calibration.addons.delivery.settings import DeliverySettings
+from calibration.addons.delivery.results import BundleResults
+from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
 from calibration.base.arrays import Array
 from calibration.base.documents import MAX_BYTES
 from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base.files import read_bytes, write_atomically
 from calibration.base.text import shorten
 from calibration.base.verdict import worst_verdict
 from calibration.ci.git import Repository
+from calibration.ci.report import remove_results
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import compare
 from calibration.engine.baseline.document import MAX_BASELINE_BYTES, Baseline, read_baseline
@@ -276,4 +287,52 @@ def with_collected(systems: Sequence[System], collected_folder: Path) -> tuple[S
     return tuple(
         system if system.collected is None else replace(system, dataset=collected_folder / system.collected)
         for system in systems
+    )
+
+
+BUNDLE_FOLDER = "bundle"
+"""In the output folder of a run."""
+PREDICATE_ENDING = ".predicate.json"
+"""After the name of a bundle: its test results, for a tool that makes and signs the statement itself."""
+
+
+def write_bundle(
+    bundle: Bundle, output: Path, key_file: Path | None, environment: Mapping[str, str] = os.environ
+) -> BundleResults:
+    """Write a bundle, its predicate, and its attestation if there is a key; an older attestation is removed.
+
+    Args:
+        bundle: the bundle.
+        output: output folder of a run, whose folder `BUNDLE_FOLDER` gets the files.
+        key_file: file with the private key; None for that of `KEY_VARIABLE`, if it is set.
+        environment: variables.
+
+    Raises:
+        InputError: the key is none.
+        InfrastructureError: a file cannot be written, or cryptography is not installed.
+    """
+    text, where = environment.get(KEY_VARIABLE, ""), KEY_VARIABLE
+    if key_file is not None:
+        where, text = str(key_file), read_bytes(key_file, MAX_KEY_BYTES, "a private key").decode("utf-8", "replace")
+    key = parse_signing_key(text, where) if text.strip() or key_file is not None else None
+    manifest = bundle.manifest
+    name = f"{BUNDLE_FOLDER}/{manifest.file_name}"
+    attestation, predicate = name + ATTESTATION_ENDING, name + PREDICATE_ENDING
+    remove_results(output, [name, attestation, predicate])
+    write_atomically(output / name, bundle.content)
+    write_atomically(output / predicate, json.dumps(test_result(manifest), indent=1) + "\n")
+    if key is not None:
+        envelope = signed_envelope(statement_of(bundle.content, manifest.file_name, manifest), key)
+        write_atomically(output / attestation, envelope)
+    return BundleResults(
+        name=manifest.name,
+        version=manifest.version,
+        file=name,
+        digest=f"sha256:{bundle.digest}",
+        attestation=attestation if key else None,
+        predicate=predicate,
+        systems=tuple(system.name for system in manifest.systems),
+        left_out=manifest.left_out,
+        marks=manifest.marks,
+        uncommitted=manifest.uncommitted,
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from calibration.addons.delivery.archive import RefusedBundleError, unpack_files
 from calibration.addons.delivery.attestation import SignedStatement, verify_attestation
-from calibration.addons.delivery.fetching import FetchedBundle
+from calibration.addons.delivery.destinations import FetchedBundle
 from calibration.addons.delivery.manifest import MANIFEST_FILE, BundledFile, Manifest, parse_manifest, version_order
 from calibration.base.errors import InputError
 

@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from calibration.addons.delivery.in_use import InUse, UsedCamera, UsedTransform
+from calibration.addons.delivery.in_use import InUse, Pose, UsedCamera, UsedTransform, distance_of_poses, pose_of
 from calibration.addons.delivery.manifest import BundledCamera, BundledSystem, BundledTransform
-from calibration.addons.delivery.poses import Pose, distance_of_poses, pose_of
 from calibration.addons.delivery.results import DifferenceInUse
 
 RELATIVE_TOLERANCE = 1e-9

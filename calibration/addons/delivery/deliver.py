@@ -11,12 +11,11 @@ import click
 from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES
 from calibration.addons.delivery.artifact import RegistryRepository
 from calibration.addons.delivery.bundle import masked_signing_key, run_to_bundle, signing_key_option
-from calibration.addons.delivery.bundling import Bundle, make_bundle
-from calibration.addons.delivery.delivering import DeliveredBundle, deliver_bundle
+from calibration.addons.delivery.bundling import BUNDLE_FOLDER, PREDICATE_ENDING, Bundle, make_bundle, write_bundle
+from calibration.addons.delivery.changes import DeliveredBundle, deliver_bundle
 from calibration.addons.delivery.destinations import CHANGELOG_FILE, DeliveryFolder, Destination
 from calibration.addons.delivery.release import GitHubReleases
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
-from calibration.addons.delivery.writing import BUNDLE_FOLDER, PREDICATE_ENDING, write_bundle
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.records import field, length, record

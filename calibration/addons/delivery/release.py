@@ -10,8 +10,7 @@ from urllib.parse import quote
 
 from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES
 from calibration.addons.delivery.attestation import ATTESTATION_ENDING
-from calibration.addons.delivery.destinations import Delivery, taken_meanwhile
-from calibration.addons.delivery.fetching import FetchedBundle
+from calibration.addons.delivery.destinations import Delivery, FetchedBundle, taken_meanwhile
 from calibration.addons.delivery.manifest import BUNDLE_ENDING, is_version, version_order
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.github.api import GitHubApi, MissingError, RefusedRequestError

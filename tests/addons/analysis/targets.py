@@ -5,12 +5,12 @@ import re
 from pathlib import Path
 
 from benchmarks.ros_defects.workspace import Workspace
+from calibration.addons.analysis.report import FINGERPRINT, read_earlier
 from calibration.addons.analysis.ros.__main__ import check as check_ros
 from calibration.addons.analysis.ros.client_code import read_cpp, read_python
 from calibration.addons.analysis.ros.launch import read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
 from calibration.addons.analysis.ros.tree import Tree
-from calibration.addons.analysis.sarif import FINGERPRINT, read_earlier
 from calibration.addons.analysis.settings import read_suppressions
 from tests.campaigns.target import Target
 

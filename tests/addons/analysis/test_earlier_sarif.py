@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.addons.analysis.sarif import read_earlier
+from calibration.addons.analysis.report import read_earlier
 from calibration.base.errors import InputError
 from tests.repositories import commit
 

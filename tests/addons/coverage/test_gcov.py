@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.gcov import parse_gcov
+from calibration.addons.coverage.formats import parse_gcov
 from calibration.addons.coverage.lines import Rate
 from calibration.base.errors import InputError
 

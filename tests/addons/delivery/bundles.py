@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from calibration.addons.delivery.archive import pack_files
 from calibration.addons.delivery.attestation import key_id, signed_envelope, statement_of
-from calibration.addons.delivery.fetching import FetchedBundle
+from calibration.addons.delivery.destinations import FetchedBundle
 from calibration.addons.delivery.manifest import (
     MANIFEST_FILE,
     BundledCamera,

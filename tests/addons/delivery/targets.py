@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from calibration.addons.delivery.checking import check_bundle
-from calibration.addons.delivery.fetching import FetchedBundle
+from calibration.addons.delivery.destinations import FetchedBundle
 from calibration.addons.delivery.in_use import read_in_use
 from calibration.base.errors import InputError
 from tests.addons.delivery.bundles import LEFT, RIGHT, SYSTEM, URDF, camera_info, messages

@@ -9,9 +9,15 @@ import pytest
 import yaml
 
 from calibration.addons.delivery.comparing import ComparedWithUse, Tolerance, compare_with_use
-from calibration.addons.delivery.in_use import InUse, UsedTransform, read_in_use
+from calibration.addons.delivery.in_use import (
+    InUse,
+    UsedTransform,
+    distance_of_poses,
+    pose_of,
+    pose_of_angles,
+    read_in_use,
+)
 from calibration.addons.delivery.manifest import BundledTransform
-from calibration.addons.delivery.poses import distance_of_poses, pose_of, pose_of_angles
 from calibration.base.errors import InputError
 from calibration.engine.geometry.rotations import from_rpy, to_quaternion, to_rpy
 from calibration.robot.exports.calibrated import Calibrated

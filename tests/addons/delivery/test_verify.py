@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.addons.delivery.fetching import ARTIFACT_TYPE, ATTESTATION_LAYER, BUNDLE_LAYER
+from calibration.addons.delivery.destinations import ARTIFACT_TYPE, ATTESTATION_LAYER, BUNDLE_LAYER
 from calibration.base import http
 from tests.ci.registries.server import Reply, Request, serve
 

@@ -2,9 +2,8 @@
 
 from calibration.addons.analysis.analysers.analyser import Analyser
 from calibration.addons.analysis.analysers.code import Cppcheck, Lizard, Ruff, Shellcheck
-from calibration.addons.analysis.analysers.documents import XmlFiles, Yamllint, Zizmor
+from calibration.addons.analysis.analysers.documents import Urdf, XmlFiles, Yamllint, Zizmor
 from calibration.addons.analysis.analysers.ros import RosChecks
-from calibration.addons.analysis.analysers.urdf import Urdf
 
 ANALYSERS: dict[str, Analyser] = {
     each.name: each
