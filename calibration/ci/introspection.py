@@ -13,7 +13,7 @@ from typing import Any
 from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.records import document_of
-from calibration.base.tables.rule_set import RuleSet, parse_rules
+from calibration.base.tables.rules import RuleSet, parse_rules
 from calibration.base.tables.table_verdict import Results, RuleResult, TableResult, Violation
 from calibration.base.text import did_you_mean, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, verdict_of
@@ -34,7 +34,7 @@ _ROW_KEYS = ("use_latest_row", "value_row")
 
 
 def read_rules(path: str | Path) -> RuleSet:
-    """Read rules from a YAML file (see :mod:`calibration.base.tables.rule_set`) or from a Rigelfile.
+    """Read rules from a YAML file (see :mod:`calibration.base.tables.rules`) or from a Rigelfile.
 
     Raises :class:`InputError` that names the file and the error.
     """

@@ -33,8 +33,8 @@ from calibration.commands.parameters import (
 from calibration.commands.target import execution_target
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
-from calibration.pipeline.repetition.pipeline_runs import repeat_stages
-from calibration.pipeline.repetition.settings import Repetitions
+from calibration.pipeline.repetition.repetition import Repetitions
+from calibration.pipeline.repetition.running import repeat_stages
 from calibration.pipeline.stages import PipelineRun
 from calibration.pipeline.system import Noise, NoiseGrid, System, chosen_systems
 

@@ -24,9 +24,8 @@ from calibration.ci.execution.backends import (
 )
 from calibration.ci.report import Report, publish, show
 from calibration.ci.workflow import Runner, stop_commands
-from calibration.ci.workflow.progress import progress
 from calibration.ci.workflow.runner import OutputValue
-from calibration.ci.workflow.streams import LogDisplay
+from calibration.ci.workflow.streams import LogDisplay, progress
 from calibration.commands.parameters import chosen, find_system, given, option_keys, record_options, system_folder
 from calibration.commands.target import execution_target
 from calibration.pipeline.collection import report, scenario_report
@@ -43,9 +42,8 @@ from calibration.pipeline.collection.request import (
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenario_report import scenario_line
 from calibration.pipeline.collection.scenarios import ScenarioFolder
-from calibration.pipeline.repetition.repetition import Repetition, repetition_of_collection
+from calibration.pipeline.repetition.repetition import Repetition, Repetitions, repetition_of_collection
 from calibration.pipeline.repetition.running import repeated, run_of_repetition
-from calibration.pipeline.repetition.settings import Repetitions
 from calibration.pipeline.results import PAGE_FILE
 from calibration.robot.simulation.collection.record import Record
 from calibration.robot.simulation.motion.sequence import Motion

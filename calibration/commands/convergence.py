@@ -12,8 +12,7 @@ from calibration.base.errors import ExitCode, InputError
 from calibration.base.text import did_you_mean
 from calibration.ci.report import count_of, publish, remove_results
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import progress
-from calibration.ci.workflow.streams import LogDisplay
+from calibration.ci.workflow.streams import LogDisplay, progress
 from calibration.commands.calibrate_matrix import (
     OF_SOFTWARE,
     MatrixSettings,

@@ -9,7 +9,7 @@ from calibration.base.errors import ExitCode
 from calibration.base.records import at_least, field, record
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 from calibration.commands.parameters import chosen, record_options
 from calibration.robot.importing.bags.recordings import SeenImages
 from calibration.robot.importing.importing import import_data

@@ -8,7 +8,7 @@ import click
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import matching
 from calibration.base.records import flat_fields, read
-from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked
+from calibration.base.tables.rules import RuleEntry, RuleSet, checked
 from calibration.base.tables.table import parse_delimiter, read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.ci.introspection import introspection_report, read_rules

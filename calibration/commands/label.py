@@ -7,7 +7,7 @@ import click
 from calibration.base.errors import ExitCode
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 from calibration.commands.parameters import ActionInput, boolean_option, count, path
 from calibration.robot.importing.patterns.image_views import LabelledMoment
 from calibration.robot.importing.relabelling import label_dataset

@@ -15,8 +15,8 @@ from calibration.ci.workflow import Runner, set_outputs
 from calibration.commands.parameters import chosen, given, record_options
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.repetition.pipeline_runs import repeat_stages
-from calibration.pipeline.repetition.settings import Repetitions
+from calibration.pipeline.repetition.repetition import Repetitions
+from calibration.pipeline.repetition.running import repeat_stages
 from calibration.pipeline.stages import STAGES, PipelineRun
 
 

@@ -15,7 +15,7 @@ from calibration.engine.baseline.quality import BASELINE_FILE, BaselineSettings
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.pipeline.repetition.settings import Repetitions
+from calibration.pipeline.repetition.repetition import Repetitions
 from calibration.pipeline.system import Exports, Noise, NoiseGrid, System, Undecided, chosen_systems
 
 DEFAULT_FILE = Path("calibration.yml")

@@ -12,7 +12,7 @@ from calibration.engine.tasks.task_errors import task_errors
 from calibration.pipeline.matrix.matrix import load
 from calibration.pipeline.matrix.next_poses_result import NextPoses
 from calibration.pipeline.next_poses import AdvisedPoses, advise
-from calibration.pipeline.page.pose_figures import pose_figures
+from calibration.pipeline.page.label_residuals import pose_figures
 from calibration.pipeline.results import PAGE_FILE
 from calibration.pipeline.system import System
 

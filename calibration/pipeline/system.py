@@ -20,7 +20,7 @@ from calibration.base.records import (
     record,
     result,
 )
-from calibration.base.tables.rule_set import RuleEntry, RuleSet, checked, unfolded
+from calibration.base.tables.rules import RuleEntry, RuleSet, checked, unfolded
 from calibration.base.text import did_you_mean
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits

@@ -25,7 +25,7 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
 from calibration.engine.next_pose.advice import next_poses
 from calibration.pipeline.next_poses import AdvisedPoses, described_advice
-from calibration.pipeline.page.pose_figures import poses_in_images
+from calibration.pipeline.page.label_residuals import poses_in_images
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.document import Imported, dataset_document
 from calibration.robot.importing.files.pictures import Pictures, order_by_number

@@ -18,7 +18,7 @@ import pytest
 
 from calibration.base.errors import CalibrationError, InputError
 from calibration.ci.git import Repository
-from calibration.ci.image.content_key import build_labels
+from calibration.ci.image.context import build_labels
 from tests.repositories import WHO, commit, git
 
 MISSING = "1" * 40

@@ -5,7 +5,7 @@ from pathlib import Path
 from calibration.addons.delivery.manifest import SystemLeftOut
 from calibration.base.records import field, result
 from calibration.base.text import count_of
-from calibration.ci.report.stage_result import StageResult
+from calibration.ci.report.results_json import StageResult
 
 
 @result(kw_only=True)

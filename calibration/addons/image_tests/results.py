@@ -9,8 +9,8 @@ from calibration.base.records import computed, field, result
 from calibration.base.text import count_of
 from calibration.ci.report import Block, Code, Lines, Outcome, Report, Table, Verdict, verdict_of
 from calibration.ci.report.junit import ErrorCode
-from calibration.ci.report.repeated import RepeatedFailure
-from calibration.ci.report.stage_result import StageResult
+from calibration.ci.report.results_json import StageResult
+from calibration.ci.report.xunit_reading import RepeatedFailure
 from calibration.ci.workflow.runner import Annotation, Level
 
 MAX_NAMED_TESTS = 20

@@ -24,9 +24,9 @@ from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.git import Repository
 from calibration.ci.image.specification import Recipe
 from calibration.ci.report import FILES, Report, remove_results
-from calibration.ci.report.repeated import RepeatedFailure, repeated_failures
+from calibration.ci.report.xunit_reading import RepeatedFailure, repeated_failures
 from calibration.ci.workflow import Runner, annotate
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 from calibration.pipeline.stages.running import PipelineRun
 
 

@@ -8,7 +8,7 @@ from calibration.base.documents import line_of
 from calibration.base.records import computed, field, result
 from calibration.base.text import shorten
 from calibration.ci.report import Outcome, Report, Table, count_of, verdict_of
-from calibration.ci.report.stage_result import StageResult
+from calibration.ci.report.results_json import StageResult
 from calibration.ci.workflow.runner import Annotation, Level
 
 

@@ -6,7 +6,7 @@ from calibration.addons.requirements.check_messages import judged
 from calibration.addons.requirements.results import JudgedMessages, MessageResults, annotations_of
 from calibration.addons.requirements.settings import RequirementSettings
 from calibration.base.errors import InputError
-from calibration.ci.execution.recorder import MESSAGES_FOLDER
+from calibration.ci.execution.ros import MESSAGES_FOLDER
 from calibration.ci.report import FILES, remove_results
 from calibration.ci.workflow import annotate
 from calibration.pipeline.stages.running import COLLECTED_FOLDER, PipelineRun

@@ -13,7 +13,7 @@ from calibration.addons.rigel.containers import Surroundings, component_entry, n
 from calibration.addons.rigel.document import Rigelfile, RigelJob
 from calibration.addons.rigel.fields import Notes, list_at, mapping_at, plain, text_at
 from calibration.base.errors import InputError
-from calibration.base.tables.rule_set import parse_rules
+from calibration.base.tables.rules import parse_rules
 from calibration.ci.introspection import COLUMNS_KEY, translate
 
 _SOURCE_FLAG, _TARGET_FLAG = ("-ss", "--sensor_source"), ("-st", "--sensor_target")

@@ -8,6 +8,6 @@ Rule files are read by :mod:`calibration.ci.introspection`, which needs YAML.
 Independent of calibration: any table with a header can be judged.
 """
 
-from calibration.base.tables.rule_set import RuleSet, parse_rules
+from calibration.base.tables.rules import RuleSet, parse_rules
 from calibration.base.tables.table import Table, read_table
 from calibration.base.tables.table_verdict import RuleResult, TableResult, Violation, judge

@@ -7,8 +7,7 @@ from typing import TypeAlias
 
 from calibration.base.errors import InputError
 from calibration.base.records import computed, field, result
-from calibration.base.tables.rule_set import RuleSet
-from calibration.base.tables.rules import ChangeRule, LimitRule, Limits, Rule, TextRule
+from calibration.base.tables.rules import ChangeRule, LimitRule, Limits, Rule, RuleSet, TextRule
 from calibration.base.tables.selection import Aggregate, EveryRow, KeyedTable
 from calibration.base.tables.table import Table
 from calibration.base.text import count_of, not_a_number, number_text, parse_number, shorten

@@ -3,8 +3,8 @@
 - ``tasks``: tasks, and the loop that runs them; ``workspace``: results that survive an interruption;
 - ``backends``: registry of backends: ``embedded`` (functions in processes of this machine), ``docker`` and those of
   add-ons (jobs of containers);
-- ``job``, ``outcome``: a job of containers, and its result; ``ros``, ``sizes``, ``job_check``: parsing and validation
-  of a job's description; ``recorder``: a recorder of ROS messages beside its containers;
+- ``job``, ``outcome``: a job of containers, and its result; ``sizes``, ``job_check``: parsing and validation of a job's
+  description; ``ros``: what ROS needs beside its containers;
 - ``supervision``: a job's containers from the first start to the verdict; ``artifacts``, ``extraction``: copying their
   artifacts; ``log_file``: their logs.
 """

@@ -16,7 +16,7 @@ from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import Reference, parse_reference
 from calibration.ci.registries.registry import RegistryClient
 from calibration.ci.workflow import Runner, group, stop_commands
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 
 if TYPE_CHECKING:
     from docker import DockerClient

@@ -11,9 +11,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.ci.image.repositories import Repository
+from calibration.ci.image.repositories import Repository, json_words, path_words, quoted
 from calibration.ci.image.specification import CopiedFile, ImageSpecification, Recipe, Secret, Workspace
-from calibration.ci.image.user_text import json_words, path_words, quoted
 
 DOCKERFILE_NAME = "Dockerfile"
 ENTRYPOINT_NAME = "entrypoint.sh"

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.ci.image.bases import Base, Login, find_base
-from calibration.ci.image.content_key import content_key
-from calibration.ci.image.context import NO_SOURCES, Context, Ignored, read_ignore_file
+from calibration.ci.image.context import NO_SOURCES, Context, Ignored, content_key, read_ignore_file
 from calibration.ci.image.dockerfile import (
     DOCKERFILE_NAME,
     ENTRYPOINT_NAME,

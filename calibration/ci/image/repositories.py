@@ -1,6 +1,8 @@
-"""Reading of ``.repos`` and ``.rosinstall`` files, which list git repositories of a workspace."""
+"""Reading of ``.repos`` and ``.rosinstall`` files, which list git repositories; checks and quotes of users' texts."""
 
+import json
 import re
+import unicodedata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -10,7 +12,64 @@ from urllib.parse import urlsplit
 from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.text import shorten
-from calibration.ci.image.user_text import check_line
+
+_PACKAGE_NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?")
+
+
+def check_text(text: str, where: str) -> str:
+    """Return a text if it is safe for a shell: lines without control characters.
+
+    Raises:
+        InputError: it has control characters or lone surrogates.
+    """
+    for character in text:
+        if unicodedata.category(character) in ("Cc", "Cs") and character not in "\n\t":
+            name = f"U+{ord(character):04X}"
+            raise InputError(f"{where}: found the control character {name} in {shorten(text)!r}: leave it out")
+    return text
+
+
+def check_line(text: str, where: str) -> str:
+    """Return a text if it is a single line.
+
+    Raises:
+        InputError: it has several lines, or control characters.
+    """
+    if "\n" in text:
+        raise InputError(f"{where}: found more than one line in {shorten(text)!r}, one was expected")
+    return check_text(text, where)
+
+
+def package_name(text: str, where: str) -> str:
+    """Return the name of a Debian package, optionally with a version, if it is valid.
+
+    Raises:
+        InputError: it is invalid.
+    """
+    if not _PACKAGE_NAME.fullmatch(text):
+        raise InputError(
+            f"{where}: found {shorten(text)!r}, the name of a Debian package was expected (name, name=1.2)"
+        )
+    return text
+
+
+def quoted(text: str) -> str:
+    """Quote a value of ENV or LABEL so that the builder reads it literally."""
+    return '"' + re.sub(r'(["\\$])', r"\\\1", text) + '"'
+
+
+def json_words(*words: str) -> str:
+    """Return words in the JSON form of an instruction, on one line.
+
+    ``<`` is escaped, because newer builders take ``<<`` for a here-document.
+    """
+    return json.dumps(list(words), ensure_ascii=False).replace("<", "\\u003c")
+
+
+def path_words(*paths: str) -> str:
+    """Return paths of COPY and WORKDIR in JSON form, escaped against the builder's variables and quotes."""
+    return json_words(*(re.sub(r"""(["'\\$])""", r"\\\1", path) for path in paths))
+
 
 _SCP_FORM = re.compile(r"[A-Za-z0-9_.-]+@[A-Za-z0-9.-]+:(?!:).+")
 """git@github.com:team/robot.git"""

@@ -51,8 +51,7 @@ from calibration.base.records import (
     read,
     record,
 )
-from calibration.ci.image.repositories import Repository, read_repositories
-from calibration.ci.image.user_text import check_line, check_text, package_name
+from calibration.ci.image.repositories import Repository, check_line, check_text, package_name, read_repositories
 from calibration.ci.registries.credentials import RegistrySettings, VariableName
 from calibration.ci.registries.reference import Reference, parse_reference
 

@@ -15,7 +15,7 @@ from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.reference import Reference, check_tag, is_digest, parse_reference
 from calibration.ci.registries.registry import Manifest, RegistryClient, denied
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import Advance
+from calibration.ci.workflow.streams import Advance
 
 if TYPE_CHECKING:
     from docker import DockerClient

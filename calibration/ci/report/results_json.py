@@ -1,18 +1,20 @@
 """Documents of a report: results.json, which begins with the same keys for every command, and comment.json.
 
+A stage of an add-on has a result of its own in that of a run.
 comment.json is the content of a comment on a pull request, which a job with a token writes later.
 """
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar
 
 from calibration.base.documents import parse_json
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.files import read_bytes
-from calibration.base.records import field, read, result, value_of
-from calibration.base.verdict import Verdict
+from calibration.base.records import computed, field, read, result, value_of
+from calibration.base.verdict import Verdict, verdict_of
 
 _Record = TypeVar("_Record")
 RESULTS_FILE = "results.json"
@@ -116,3 +118,29 @@ def read_brief(path: Path) -> Brief:
         if any(len(row) != len(table.columns) for row in table.rows):
             raise InputError(f"{path}: tables: found a row that is not as long as its header")
     return brief
+
+
+@result(kw_only=True)
+class StageResult(ABC):
+    """Result of a stage of an add-on, which is part of the verdict of a run."""
+
+    heading: ClassVar[str]
+    """What the stage did, for the report."""
+
+    folder: str = field("The folder with its own files, relative to the output folder.")
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if there is a reason."""
+        return verdict_of(not self.reasons)
+
+    @property
+    @abstractmethod
+    def sentence(self) -> str:
+        """Return the result in a few words, for the verdict's line."""
+
+    def line(self, output: Path) -> str:
+        """Return its line of the report: where its own summary is in the output folder."""
+        return f"{self.heading}: {output / self.folder / 'summary.md'}"

@@ -25,8 +25,7 @@ from calibration.ci.execution.job import (
     with_secrets,
 )
 from calibration.ci.execution.job_check import check_job
-from calibration.ci.execution.recorder import Recording, with_recorder
-from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
+from calibration.ci.execution.ros import ROS_HELP, Recording, Ros, with_recorder, with_ros
 from calibration.ci.execution.sizes import Seconds
 
 INPUT_FOLDER = "/calibration/in"

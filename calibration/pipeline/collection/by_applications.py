@@ -17,7 +17,7 @@ from calibration.base.files import read_bytes, temporary_folder, write_atomicall
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
-from calibration.ci.execution.recorder import MESSAGES_FOLDER, recorder_reasons
+from calibration.ci.execution.ros import MESSAGES_FOLDER, recorder_reasons
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Dataset, label_count

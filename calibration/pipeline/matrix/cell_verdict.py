@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.base.errors import InputError
-from calibration.base.tables.rule_set import RuleSet
+from calibration.base.tables.rules import RuleSet
 from calibration.base.tables.selection import EveryRow
 from calibration.base.tables.table import parse_table, read_table
 from calibration.base.tables.table_verdict import judge

@@ -21,10 +21,20 @@ from calibration.pipeline import report_blocks
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
-from calibration.pipeline.page.label_residuals import label_residuals, projection_figures, residuals_by_sensor
-from calibration.pipeline.page.overview import banner, engine_of, overview_table, sensors_table, starts_table
-from calibration.pipeline.page.pose_figures import poses_in_images
-from calibration.pipeline.page.robot_tasks import task_figures
+from calibration.pipeline.page.label_residuals import (
+    label_residuals,
+    poses_in_images,
+    projection_figures,
+    residuals_by_sensor,
+)
+from calibration.pipeline.page.overview import (
+    banner,
+    engine_of,
+    overview_table,
+    sensors_table,
+    starts_table,
+    task_figures,
+)
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.base.text import shorten
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 from calibration.pipeline.baselines import commit_of_run, with_accepted
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.cell_verdict import judge_results

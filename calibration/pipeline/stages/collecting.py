@@ -7,7 +7,7 @@ from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import CalibrationError
 from calibration.ci.execution.backends import EMBEDDED
 from calibration.ci.execution.supervision import BeginWatch
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.collection.request import CollectionRequest

@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.tables.rule_set import RuleSet
-from calibration.base.tables.rules import Limits
+from calibration.base.tables.rules import Limits, RuleSet
 
 BOUNDS = st.none() | st.integers(-3, 3).map(float)
 LIMITS = st.builds(Limits, BOUNDS, BOUNDS, st.booleans())

@@ -3,8 +3,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.base.tables.rule_set import RuleSet
-from calibration.base.tables.rules import LimitRule, Limits, TextRule
+from calibration.base.tables.rules import LimitRule, Limits, RuleSet, TextRule
 from calibration.base.tables.selection import EveryRow, IndexedRow, LabelledRow
 from calibration.ci.introspection import read_rules
 

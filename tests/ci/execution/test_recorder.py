@@ -12,14 +12,15 @@ import pytest
 from calibration.base.errors import InputError
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
-from calibration.ci.execution.recorder import (
+from calibration.ci.execution.ros import (
     RECORDER_NAME,
     RECORDER_SCRIPT,
     Recording,
+    RosVersion,
     recorder_reasons,
     with_recorder,
+    with_ros,
 )
-from calibration.ci.execution.ros import RosVersion, with_ros
 
 JOB = Job("job", (Container("simulation", "robot:1"), Container("robot", "robot:1", after=("simulation",))))
 PLACE = "/tmp/messages/robot"  # noqa: S108 (in a container)

@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.image.content_key import content_key, key_tag
-from calibration.ci.image.context import FILE_TIME, NO_SOURCES, Context, Ignored, read_ignore_file
+from calibration.ci.image.context import FILE_TIME, NO_SOURCES, Context, Ignored, content_key, key_tag, read_ignore_file
 
 
 def packed(context: Context) -> bytes:

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.ci.image.content_key import build_labels
+from calibration.ci.image.context import build_labels
 from tests.repositories import git
 
 OURS = {"ci.calibration.key": "k", "ci.calibration.specification": "s"}

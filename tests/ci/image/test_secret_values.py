@@ -6,7 +6,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.secret_values import MAX_BYTES, read_secrets, refuse_secrets_in, secret_files
+from calibration.ci.image.build_request import MAX_BYTES, read_secrets, refuse_secrets_in, secret_files
 from calibration.ci.image.specification import Secret
 from calibration.ci.workflow import Runner
 

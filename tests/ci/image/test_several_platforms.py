@@ -12,10 +12,9 @@ import pytest
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest
+from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest, SecretValue
 from calibration.ci.image.buildkit import Program, build_and_push, build_by_buildkit
 from calibration.ci.image.context import Context
-from calibration.ci.image.secret_values import SecretValue
 from calibration.ci.registries.credentials import Credentials
 from calibration.ci.workflow import Runner
 

@@ -8,7 +8,7 @@ import pytest
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import MAX_LOG_LINES, progress
+from calibration.ci.workflow.streams import MAX_LOG_LINES, progress
 from tests.ci.workflow.conftest import printed
 
 

@@ -11,7 +11,7 @@ from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.push import push_image
 from calibration.ci.registries.registry import RegistryClient
 from calibration.ci.workflow import Runner
-from calibration.ci.workflow.progress import progress
+from calibration.ci.workflow.streams import progress
 from tests.ci.registries.server import Reply, Request, serve
 from tests.docker_engine import Registry
 from tests.integration.image.registries import faulty, fresh_name, small_image

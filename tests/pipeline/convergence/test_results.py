@@ -11,7 +11,7 @@ import jsonschema
 import pytest
 
 from calibration.base.errors import ExitCode
-from calibration.base.tables.rule_set import parse_rules
+from calibration.base.tables.rules import parse_rules
 from calibration.base.tables.table import read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.ci.report import Report, remove_results

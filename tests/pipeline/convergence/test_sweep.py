@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.tables.rule_set import parse_rules
+from calibration.base.tables.rules import parse_rules
 from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import ExitCode, InputError
-from calibration.base.tables.rule_set import parse_rules
+from calibration.base.tables.rules import parse_rules
 from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation
 from calibration.pipeline.matrix.cell_verdict import judge_cells, judge_results

@@ -9,15 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.pipeline.repetition.comparison import (
+from calibration.pipeline.repetition.repetition import MaxSpread, Repetition
+from calibration.pipeline.repetition.results import (
     Spread,
     first_differences,
     number_ranges,
     spreads_of_results,
     stage_times,
 )
-from calibration.pipeline.repetition.repetition import Repetition
-from calibration.pipeline.repetition.settings import MaxSpread
 
 RMS = ("arm: RMS", "px")
 

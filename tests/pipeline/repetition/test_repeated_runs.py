@@ -17,10 +17,8 @@ from calibration.ci.report import Outcome
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.cell_verdict import judge_results
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.repetition.pipeline_runs import repeat_stages
-from calibration.pipeline.repetition.repetition import Repetition, poses_of_run
-from calibration.pipeline.repetition.running import repeated
-from calibration.pipeline.repetition.settings import MaxSpread, Repetitions
+from calibration.pipeline.repetition.repetition import MaxSpread, Repetition, Repetitions, poses_of_run
+from calibration.pipeline.repetition.running import repeat_stages, repeated
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.stages import PipelineRun
 from calibration.pipeline.system import NoiseGrid
