@@ -78,8 +78,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     runner = Runner.from_environment()
     password = password_variable(click_context, options.pop("registry_password"), runner)
     settings = chosen(BuildSettings, options, password_variable=password)
-    if settings.output is not None:  # so that they are not mistaken for current ones
-        remove_results(settings.output, FILES)
+    remove_results(settings.output, FILES)  # so that they are not mistaken for current ones
     begin = time.monotonic()
     specification = _read_specification(settings)
     if settings.render is not None:
@@ -94,8 +93,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
         result = BuildResult(failure=Failure(error.headline, error.lines))
     source = settings.dockerfile or settings.spec or DEFAULT_SPECIFICATION
     found = report(replace(result, seconds=round(time.monotonic() - begin, 3)), source, runner)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(found, runner, settings.output)
 
 
 def _build_result(settings: BuildSettings, specification: ImageSpecification, runner: Runner) -> BuildResult:

@@ -341,9 +341,7 @@ def _many_scenarios(
         progress(runner, COMMAND_NAME, bar=embedded, kept="scenarios" if embedded else "") as advance,
     ):
         results = collect_scenarios(request, folder, settings.parallel, begin, done)
-    found = scenario_report.report(results, settings.output)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(scenario_report.report(results, settings.output), runner, settings.output)
 
 
 def _target_of(settings: CollectionSettings, backend: str, runner: Runner) -> ExecutionTarget:

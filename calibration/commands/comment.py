@@ -6,14 +6,14 @@ from typing import Any, Literal
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base.errors import ExitCode
 from calibration.base.records import field, record
 from calibration.ci.github.comments import comment_text
 from calibration.ci.report import count_of
 from calibration.ci.report.results_json import BRIEF_FILE, Brief, read_brief
-from calibration.ci.workflow import Annotation, Level, Runner, add_mask, annotate, set_outputs
+from calibration.ci.workflow import Annotation, Level, Runner, annotate, set_outputs
 from calibration.ci.workflow.runner import PullRequestComments
-from calibration.commands.parameters import chosen, record_options
+from calibration.commands.parameters import chosen, masked_token, record_options
 
 COMMAND_NAME = "comment"
 NO_RESULTS = Brief(verdict="fail", sentence="The run ended without results: see its log.")
@@ -44,12 +44,7 @@ def command(click_context: click.Context, /, **options: Any) -> ExitCode:
     For pull requests (events pull_request and workflow_run). Outside of GitHub the comment is printed.
     """
     runner = Runner.from_environment()
-    variable = runner.service.token_variable
-    if click_context.get_parameter_source("token") is click.core.ParameterSource.COMMANDLINE:
-        raise InputError(f"token: found on the command line, where every process reads it: put it into {variable}")
-    options["token"] = options["token"] or os.environ.get(variable, "").strip() or None
-    if options["token"]:
-        add_mask(runner, options["token"])
+    options["token"] = masked_token(click_context, options["token"], runner)
     settings = chosen(CommentSettings, options)
     name = settings.name or ""
     event = runner.service.event(os.environ)

@@ -168,8 +168,7 @@ def command(
         f"--dataset {shlex.quote(str(asked.dataset))}" if asked.dataset else f"--config {asked.config or DEFAULT_FILE}"
     )
     found = report(ConvergenceResults(matrix.noise, maps_of(cells, matrix.noise), minimums), asked.output, source)
-    publish(found, runner, asked.output)
-    return found.exit_code
+    return publish(found, runner, asked.output)
 
 
 def _with_seeds(asked: MatrixSettings, start: tuple[Start, ...], minimums: Minimums) -> MatrixSettings:

@@ -46,6 +46,4 @@ def command(**options: Any) -> ExitCode:
 
     with progress(runner, IMPORT_TITLE, kept="parts") as advance:
         results = import_data(settings.recordings, settings.output, settings.overwrite, settings.parallel, done)
-    found = report(results, settings.output)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(report(results, settings.output), runner, settings.output)

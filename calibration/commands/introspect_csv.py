@@ -55,15 +55,13 @@ def command(**options: Any) -> ExitCode:
     if not rules.compares and "base-csv" in given:
         raise InputError("base-csv is given but no max-increase or max-decrease, so nothing would be compared with it")
     output = given.get("output")
-    if output is not None:  # so that they are not mistaken for current ones
-        remove_results(output, FILES)
+    remove_results(output, FILES)  # so that they are not mistaken for current ones
     delimiter = parse_delimiter(given["delimiter"]) if "delimiter" in given else None
     encoding = given.get("encoding")
     tables = [read_table(file, delimiter, encoding) for file in matching(files)]
     baseline = read_table(given["base-csv"], delimiter, encoding) if "base-csv" in given else None
     found = introspection_report([judge(table, rules, baseline) for table in tables])
-    publish(found, Runner.from_environment(), output)
-    return found.exit_code
+    return publish(found, Runner.from_environment(), output)
 
 
 def _rules_of_options(given: dict[str, Any]) -> RuleSet:

@@ -30,6 +30,4 @@ def command(dataset: Path, output: Path, again: bool, overwrite: bool, parallel:
 
     with progress(runner, "label", kept="collections") as advance:
         results = label_dataset(dataset, output, again, overwrite, parallel, done)
-    found = label_report(results, output)
-    publish(found, runner, output)
-    return found.exit_code
+    return publish(label_report(results, output), runner, output)

@@ -21,8 +21,5 @@ def command(recording: Path, pattern: Path | None, output: Path | None) -> ExitC
 
     Exit code 1 if something is missing for a calibration.
     """
-    if output is not None:
-        remove_results(output, FILES)
-    found = report(look(recording, pattern), output)
-    publish(found, Runner.from_environment(), output)
-    return found.exit_code
+    remove_results(output, FILES)
+    return publish(report(look(recording, pattern), output), Runner.from_environment(), output)

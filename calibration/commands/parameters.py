@@ -225,20 +225,38 @@ registry_password_option = click.option(
 """Option for a registry password, to be passed to `password_variable`."""
 
 
-def password_variable(context: click.Context, password: str | None, runner: Runner) -> str | None:
-    """Mask a password, and return the name of its environment variable; None if there is no password.
+def masked_secret(context: click.Context, name: str, value: str | None, runner: Runner, place: str) -> str | None:
+    """Return the value of a secret option, masked in the log; None if it is blank.
+
+    Args:
+        context: context of the command.
+        name: the option, without dashes in front.
+        value: its value.
+        runner: the runner, which masks it.
+        place: where it belongs instead of a command line, for the message.
 
     Raises:
-        InputError: it is on the command line, where other processes can read it.
+        InputError: it is on the command line, where every process reads it.
     """
-    if not password or not password.strip():
+    if not value or not value.strip():
         return None
-    add_mask(runner, password)
-    if context.get_parameter_source("registry_password") is click.core.ParameterSource.COMMANDLINE:
-        raise InputError(
-            "registry-password: found on the command line, where every process reads it: "
-            f"put it into the environment variable {PASSWORD_VARIABLE}"
-        )
+    add_mask(runner, value)
+    if context.get_parameter_source(name.replace("-", "_")) is click.core.ParameterSource.COMMANDLINE:
+        raise InputError(f"{name}: found on the command line, where every process reads it: put it into {place}")
+    return value
+
+
+def masked_token(context: click.Context, token: str | None, runner: Runner) -> str | None:
+    """Return the token of the CI service, by option or by its own variable; raises as `masked_secret`."""
+    variable = runner.service.token_variable
+    return masked_secret(context, "token", token or os.environ.get(variable, "").strip(), runner, variable)
+
+
+def password_variable(context: click.Context, password: str | None, runner: Runner) -> str | None:
+    """Return the variable that has the registry password; None if there is none; raises as `masked_secret`."""
+    place = f"the environment variable {PASSWORD_VARIABLE}"
+    if masked_secret(context, "registry-password", password, runner, place) is None:
+        return None
     return PASSWORD_VARIABLE if os.environ.get(PASSWORD_VARIABLE) else PASSWORD_VARIABLE_IN_ACTIONS
 
 

@@ -78,8 +78,7 @@ def analyse(settings: StaticAnalysisSettings, runner: Runner) -> ExitCode:
         InfrastructureError: an analyser is missing, fails or takes too long, or a result cannot be written.
     """
     found, _ = analysed(settings, Path(), settings.output, runner)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(found, runner, settings.output)
 
 
 def analysed(
@@ -97,8 +96,7 @@ def analysed(
         InputError: an input is wrong, or there is nothing to analyse.
         InfrastructureError: an analyser is missing, fails or takes too long.
     """
-    if output is not None:
-        remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE, BADGE_FILE))
+    remove_results(output, (*FILES, SARIF_FILE, JSON_FILE, PICTURE_FILE, BADGE_FILE))
     new_limits = parse_limits(settings.max_new, "max-new")
     total_limits = parse_limits(settings.max_total, "max-total")
     file_limits = parse_limits(settings.max_file, "max-file")

@@ -42,9 +42,9 @@ from calibration.ci.git import Repository, changed_lines, files_without_lines, f
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.report.results_json import BRIEF_FILE
 from calibration.ci.services import event_of
-from calibration.ci.workflow import Runner, add_mask, set_outputs
+from calibration.ci.workflow import Runner, set_outputs
 from calibration.ci.workflow.runner import Event
-from calibration.commands.parameters import chosen, record_options
+from calibration.commands.parameters import chosen, masked_secret, record_options
 
 TOKEN_VARIABLES = {"project_token": "CODACY_PROJECT_TOKEN", "api_token": "CODACY_API_TOKEN"}
 """Environment variables of tokens."""
@@ -168,9 +168,7 @@ def upload(settings: CoverageSettings, runner: Runner) -> ExitCode:
     results = replace(results, upload=_upload_coverage(results, settings, service, skipped, runner))
     if settings.badge is not None:
         write_atomically(settings.badge, badge(results.lines, results.goal))
-    found = report(results, settings.directory, settings.badge)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(report(results, settings.directory, settings.badge), runner, settings.output)
 
 
 def _check_settings(settings: CoverageSettings) -> None:
@@ -451,17 +449,11 @@ def settings_from(options: dict[str, Any], click_context: click.Context, runner:
     """
     for name, variable in (TOKEN_VARIABLES | CODACY_VARIABLES).items():
         options[name] = options[name] or os.environ.get(variable, "").strip() or None
-    for name in TOKEN_VARIABLES:
-        if options[name]:
-            add_mask(runner, options[name])
+    for name, variable in TOKEN_VARIABLES.items():
+        place = f"the environment variable {variable}"
+        masked_secret(click_context, name.replace("_", "-"), options[name], runner, place)
     if any(options[name] for name in TOKEN_VARIABLES):
         hide(
             [*TOKEN_VARIABLES.values(), *(f"INPUT_{name.upper()}" for name in TOKEN_VARIABLES)]
         )  # the tests are untrusted programs
-    for name, variable in TOKEN_VARIABLES.items():
-        if click_context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            raise InputError(
-                f"{name.replace('_', '-')}: found on the command line, where every process reads it: "
-                f"put it into the environment variable {variable}"
-            )
     return chosen(CoverageSettings, options)

@@ -16,7 +16,7 @@ from calibration.ci.execution.workspace import locked
 from calibration.ci.report import remove_results
 from calibration.ci.workflow import Level, Runner, add_mask, annotate, set_outputs, stop_commands
 from calibration.ci.workflow.runner import Annotation
-from calibration.commands.parameters import chosen, given, record_options
+from calibration.commands.parameters import chosen, given, masked_secret, record_options
 from calibration.engine.baseline.quality import BaselineSettings
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.results import read_results
@@ -101,20 +101,9 @@ def run_to_bundle(config: Path, output: Path, document: dict[str, Any]) -> tuple
 
 
 def masked_signing_key(context: click.Context, signing_key: str | None, runner: Runner) -> str:
-    """Mask the private key that an option or its variable has, and return it; empty for none.
-
-    Raises:
-        InputError: it is on the command line.
-    """
-    if not signing_key or not signing_key.strip():
-        return ""
-    add_mask(runner, signing_key)
-    if context.get_parameter_source("signing_key") is click.core.ParameterSource.COMMANDLINE:
-        raise InputError(
-            "signing-key: found on the command line, where every process reads it: "
-            f"put it into the environment variable {KEY_VARIABLE}, or use signing-key-file"
-        )
-    return signing_key
+    """Mask the private key that an option or its variable has, and return it; raises as `masked_secret`."""
+    place = f"the environment variable {KEY_VARIABLE}, or use signing-key-file"
+    return masked_secret(context, "signing-key", signing_key, runner, place) or ""
 
 
 def _show(found: BundleResults, output: Path, runner: Runner) -> None:

@@ -26,11 +26,12 @@ from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import parse_reference
 from calibration.ci.registries.registry import RegistryClient
-from calibration.ci.workflow import Level, Runner, add_mask, add_summary, annotate, set_outputs, stop_commands
+from calibration.ci.workflow import Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.ci.workflow.runner import Annotation, Event
 from calibration.commands.parameters import (
     chosen,
     given,
+    masked_token,
     password_variable,
     record_options,
     registry_password_option,
@@ -74,12 +75,7 @@ def command(context: click.Context, /, **options: Any) -> ExitCode:
     """
     runner = Runner.from_environment()
     key = masked_signing_key(context, options.pop("signing_key"), runner)
-    variable = runner.service.token_variable
-    if context.get_parameter_source("token") is click.core.ParameterSource.COMMANDLINE:
-        raise InputError(f"token: found on the command line, where every process reads it: put it into {variable}")
-    options["token"] = options["token"] or os.environ.get(variable, "").strip() or None
-    if options["token"]:
-        add_mask(runner, options["token"])
+    options["token"] = masked_token(context, options["token"], runner)
     password = password_variable(context, options.pop("registry_password"), runner)
     settings = chosen(DeliverSettings, options)
     event = runner.service.event(os.environ)

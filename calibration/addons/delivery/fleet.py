@@ -91,9 +91,7 @@ def command(folder: Path, **options: Any) -> ExitCode:
     runner = Runner.from_environment()
     settings = chosen(FleetSettings, options)
     found = compare_robots([*_accepted_robots(folder, settings, runner)])
-    report = _report(found)
-    publish(report, runner, settings.output)
-    return report.exit_code
+    return publish(_report(found), runner, settings.output)
 
 
 def compare_robots(robots: list[AcceptedRobot]) -> FleetResults:

@@ -95,8 +95,7 @@ def verify(bundle: str, settings: VerifySettings, runner: Runner) -> ExitCode:
         InputError: the bundle cannot be read, or an input is wrong.
         InfrastructureError: a package is not installed, a registry does not answer, or a file cannot be written.
     """
-    if settings.output is not None:
-        remove_results(settings.output, FILES)
+    remove_results(settings.output, FILES)
     if settings.unpack is not None and settings.unpack.exists():
         raise InputError(f"{settings.unpack}: this exists already, expected a new folder to unpack to")
     expected = _expectations(settings)
@@ -114,8 +113,7 @@ def verify(bundle: str, settings: VerifySettings, runner: Runner) -> ExitCode:
         if settings.unpack is not None:
             _unpack(checked, fetched, settings.unpack)
         _remember(checked.manifest.version, settings.remember)
-    publish(report, runner, settings.output)
-    return report.exit_code
+    return publish(report, runner, settings.output)
 
 
 def _expectations(settings: VerifySettings) -> Expectations:

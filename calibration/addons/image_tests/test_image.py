@@ -51,8 +51,7 @@ def run_tests_of_image(settings: TestImageSettings, entries: tuple[ImageTests, .
     """
     target = ExecutionTarget(show=LogDisplay(runner))
     found, _ = run_image_tests(entries, settings.output, Path(), target, runner)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(found, runner, settings.output)
 
 
 def _entries(config: Path | None, entry: dict[str, Any]) -> tuple[ImageTests, ...]:

@@ -48,11 +48,9 @@ def check_messages(settings: CheckMessagesSettings, runner: Runner) -> ExitCode:
         raise InputError(f"{settings.config}: found no section '{SECTION}', expected one")
     where = f"{settings.config}: {SECTION}"
     requirements = read(RequirementSettings, document[SECTION], where, folder=settings.config.parent)
-    if settings.output is not None:
-        remove_results(settings.output, FILES)
+    remove_results(settings.output, FILES)
     found = judged(requirements, [Path(each) for each in settings.bag] or requirements.bags, settings.config)
-    publish(found, runner, settings.output)
-    return found.exit_code
+    return publish(found, runner, settings.output)
 
 
 def judged(requirements: RequirementSettings, bag: Sequence[Path], config: Path) -> Report:

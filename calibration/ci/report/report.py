@@ -171,14 +171,15 @@ _FILE_OF_OUTPUT = {"results": RESULTS_FILE, "summary": SUMMARY_FILE}
 """Outputs that are paths of files, empty if no files are written."""
 
 
-def publish(report: Report, runner: Runner, folder: Path | None = None) -> None:
-    """Write the files of a report into a folder if one is given, then show the report on the runner.
+def publish(report: Report, runner: Runner, folder: Path | None = None) -> ExitCode:
+    """Write the files of a report into a folder if one is given, show the report, and return its exit code.
 
     The verdict is the last line of the log. Raises :class:`InfrastructureError` if something cannot be written.
     """
     if folder is not None:
         report.write(folder)
     show(report, runner, folder)
+    return report.exit_code
 
 
 def show(report: Report, runner: Runner, folder: Path | None = None) -> None:
@@ -212,13 +213,15 @@ def _bound_outputs(outputs: Mapping[str, OutputValue | None]) -> tuple[dict[str,
     return bounded, notes
 
 
-def remove_results(folder: Path, names: Iterable[str]) -> None:
-    """Remove files of an earlier run from a folder, so that they are not mistaken for current results.
+def remove_results(folder: Path | None, names: Iterable[str]) -> None:
+    """Remove files of an earlier run from a folder, if there is one: they might be mistaken for current results.
 
     From then on nothing is written through links in the folder.
 
     Raises :class:`InfrastructureError` if one cannot be removed.
     """
+    if folder is None:
+        return
     follow_no_links(folder)
     for name in names:
         try:
