@@ -240,7 +240,7 @@ def _measure_and_judge(
     except InputError as error:
         if not failed:
             raise
-        found = Found.nothing()  # failed tests may have written no report
+        found = Found({})  # failed tests may have written no report
         runner.log(one_line(f"no coverage: {error}"))
     change = None
     touched: dict[str, set[int]] = {}
@@ -255,7 +255,9 @@ def _measure_and_judge(
         change = coverage_of_change(base, touched, found.files)
     results = CoverageResults(found, settings.goal, commit, tests, change, no_change)
     if results.lines.total == 0 and not failed:
-        why = "; ".join(["the reports contain no file that counts (source, exclude)", *what_is_left_out(found)])
+        why = "; ".join(
+            ["the reports contain no file that counts (source, exclude)", *what_is_left_out(found.left_out)]
+        )
         raise InputError(f"no executable line was found: {why}")
     results = replace(results, limits=_coverage_limits(settings, results))
     if settings.pseudo_tested_scope == "none":

@@ -4,10 +4,10 @@ import os
 import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from calibration.addons.coverage.coverage_py import SQLITE_MAGIC, copied, measured_names, merge, report_of
 from calibration.addons.coverage.formats import (
@@ -23,24 +23,36 @@ from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, language_of
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
+from calibration.base.records import field, result
 from calibration.ci.git import Repository
 
 MAX_COPY = 8 * 1024 * 1024
 """Largest file that is compared with tracked files to find its original, in bytes."""
 
 
+@result
+class UncountedFile:
+    """Content of reports that is not counted, and languages without a report."""
+
+    unmatched: tuple[str, ...] = field("Names that are no tracked file.")
+    ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
+    ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report claims, with its highest line number.")
+    unreadable: tuple[str, ...] = field("Python files that cannot be parsed.")
+    without_report: Mapping[str, int] = field(
+        "Number of source files by language, for languages that no report contains."
+    )
+
+
+NOTHING_LEFT_OUT = UncountedFile((), {}, {}, (), {})
+
+
 @dataclass(frozen=True)
-class Mapped:
-    """Coverage from reports, mapped to files of the repository."""
+class Found:
+    """Coverage of the repository, with what could not be used."""
 
     files: Mapping[str, FileCoverage]
     """Coverage of each file, by path in the repository."""
-    unmatched: tuple[str, ...] = ()
-    """Names that match no file of the repository."""
-    ambiguous: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """Names that match several files, with these."""
-    ill_fitting: Mapping[str, int] = field(default_factory=dict)
-    """Files with fewer lines than a report claims, with its highest line number: the report is of another version."""
+    left_out: UncountedFile = NOTHING_LEFT_OUT
 
 
 @dataclass(frozen=True)
@@ -106,7 +118,7 @@ class PathMap:
         return ()
 
 
-def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[str]) -> Mapped:
+def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[str]) -> Found:
     """Combine reports to the coverage of the repository's files.
 
     Args:
@@ -132,7 +144,7 @@ def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[
             files[path] = replace(coverage, functions=_python_functions(path, source, coverage.hits))
         else:
             files[path] = coverage
-    return Mapped(files, tuple(names.unmatched), names.ambiguous, ill_fitting)
+    return Found(files, UncountedFile(tuple(names.unmatched), names.ambiguous, ill_fitting, (), {}))
 
 
 def _python_functions(path: str, source: bytes, hits: Mapping[int, int]) -> dict[tuple[int, int], int]:
@@ -187,27 +199,6 @@ def _read_content(path: Path) -> bytes:
 KINDS_OF_REPORTS = "a data file of coverage.py, Cobertura XML, LCOV or JSON of gcov"
 
 
-@dataclass(frozen=True)
-class Found:
-    """Coverage of the repository, with what could not be used."""
-
-    mapped: Mapped
-    unreadable: tuple[str, ...] = ()
-    """Python files without coverage because they cannot be parsed."""
-    without_report: Mapping[str, int] = field(default_factory=dict)
-    """Numbers of source files by language, for languages that no report contains; they are not counted."""
-
-    @classmethod
-    def nothing(cls) -> Self:
-        """Return the result for no report."""
-        return cls(Mapped({}))
-
-    @property
-    def files(self) -> Mapping[str, FileCoverage]:
-        """Coverage by path."""
-        return self.mapped.files
-
-
 def read_reports(
     files: Sequence[Path],
     sources: Sources,
@@ -234,7 +225,7 @@ def read_reports(
     names, data = _Names(paths), copied(data_files, folder)
     measured = {name: file for name in measured_names(data) if (file := names.file(name))}
     others = mapped(reports, paths, sources.counted)
-    known = {*others.files, *others.ill_fitting, *measured.values()}
+    known = {*others.files, *others.left_out.ill_fitting, *measured.values()}
     languages = {language_of(path) for path in known} | ({PYTHON_LANGUAGE} if data else set())
     python = [path for path in sources.counted if language_of(path) == PYTHON_LANGUAGE and PYTHON_LANGUAGE in languages]
     root = sources.repository.root
@@ -244,15 +235,14 @@ def read_reports(
     label = ", ".join(map(str, data_files)) or "the files without a report"
     own = [report_of(file, label, settings, root, executable or sys.executable) for file in merged]
     found = mapped([*reports, *own], paths, sources.counted)
-    return Found(
-        replace(
-            found,
-            unmatched=tuple(dict.fromkeys([*found.unmatched, *names.unmatched])),
-            ambiguous={**found.ambiguous, **names.ambiguous},
-        ),
-        tuple(path for path in python if path not in found.files and path not in found.ill_fitting),
+    left_out = UncountedFile(
+        tuple(dict.fromkeys([*found.left_out.unmatched, *names.unmatched])),
+        {**found.left_out.ambiguous, **names.ambiguous},
+        found.left_out.ill_fitting,
+        tuple(path for path in python if path not in found.files and path not in found.left_out.ill_fitting),
         Counter(language for path in sources.counted if (language := language_of(path)) and language not in languages),
     )
+    return replace(found, left_out=left_out)
 
 
 def _separate_reports(files: Sequence[Path]) -> tuple[list[CoverageReport], list[Path]]:

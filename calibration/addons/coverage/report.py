@@ -8,7 +8,7 @@ from pathlib import Path
 from calibration.addons.coverage.formats import tracefile
 from calibration.addons.coverage.lines import Rate
 from calibration.addons.coverage.pseudo_tested import PseudoTestedResults
-from calibration.addons.coverage.reading import Found
+from calibration.addons.coverage.reading import UncountedFile
 from calibration.addons.coverage.results import CoverageResults
 from calibration.base.errors import ExitCode
 from calibration.base.text import one_line, shorten
@@ -108,7 +108,7 @@ def remarks(results: CoverageResults) -> list[str]:
         lines.append(f"no coverage of the change: {results.no_change}")
     if results.no_pseudo_tested:
         lines.append(f"no functions are looked for that tests run and do not test: {results.no_pseudo_tested}")
-    return lines + _remarks_on_pseudo_tested(results.pseudo_tested) + what_is_left_out(results.found)
+    return lines + _remarks_on_pseudo_tested(results.pseudo_tested) + what_is_left_out(results.left_out)
 
 
 def _remarks_on_pseudo_tested(found: PseudoTestedResults | None) -> list[str]:
@@ -141,16 +141,16 @@ def _pseudo_tested_table(found: PseudoTestedResults | None) -> Iterable[Table]:
         yield Table(_HEADER_OF_PSEUDO_TESTED, rows, MAX_ROWS, title=title)
 
 
-def what_is_left_out(found: Found) -> list[str]:
+def what_is_left_out(found: UncountedFile) -> list[str]:
     """Return a line for each part of the reports that is not counted, and for languages without a report."""
     lines = []
-    if found.mapped.unmatched:
-        lines.append(f"in reports, but no file that git tracks: {_names_text(found.mapped.unmatched)}")
-    for name, paths in list(found.mapped.ambiguous.items())[:MAX_NAMES]:
+    if found.unmatched:
+        lines.append(f"in reports, but no file that git tracks: {_names_text(found.unmatched)}")
+    for name, paths in list(found.ambiguous.items())[:MAX_NAMES]:
         lines.append(
             f"left out, because it may be several files: {shorten(one_line(name), 200)} ({_names_text(paths)})"
         )
-    for path, line in list(found.mapped.ill_fitting.items())[:MAX_NAMES]:
+    for path, line in list(found.ill_fitting.items())[:MAX_NAMES]:
         lines.append(f"left out, because a report contains line {line}, which the file lacks: {one_line(path)}")
     if found.unreadable:
         lines.append(f"left out, because coverage.py cannot read or parse them: {_names_text(found.unreadable)}")

@@ -6,7 +6,7 @@ from typing import Literal
 
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.pseudo_tested import OVER_BUDGET, PseudoTestedResults
-from calibration.addons.coverage.reading import Found
+from calibration.addons.coverage.reading import Found, UncountedFile
 from calibration.addons.coverage.tests import Tests
 from calibration.base.records import computed, field, result
 from calibration.base.verdict import at_most
@@ -118,19 +118,6 @@ class FileResult:
 
 
 @result
-class UncountedFile:
-    """Content of reports that is not counted, and languages without a report."""
-
-    unmatched: tuple[str, ...] = field("Names that are no tracked file.")
-    ambiguous: Mapping[str, tuple[str, ...]] = field("Names that may be several files, with these.")
-    ill_fitting: Mapping[str, int] = field("Files with fewer lines than a report claims, with its highest line number.")
-    unreadable: tuple[str, ...] = field("Python files that cannot be parsed.")
-    without_report: Mapping[str, int] = field(
-        "Number of source files by language, for languages that no report contains."
-    )
-
-
-@result
 class CoverageResults:
     """Results of coverage-upload."""
 
@@ -176,9 +163,7 @@ class CoverageResults:
     @computed()
     def left_out(self) -> UncountedFile:
         """Files and names that are not counted."""
-        mapped = self.found.mapped
-        left_out = (mapped.unmatched, mapped.ambiguous, mapped.ill_fitting)
-        return UncountedFile(*left_out, self.found.unreadable, self.found.without_report)
+        return self.found.left_out
 
     @property
     @computed()

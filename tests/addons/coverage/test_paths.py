@@ -113,6 +113,6 @@ def test_reports_are_held_against_the_repository(paths: PathMap) -> None:
         "src/robot/naming.py": FileCoverage({1: 1, 2: 4, 3: 0}),
         "src/only.cpp": FileCoverage({3: 1}),
     }
-    assert found.unmatched == ("/usr/include/vector",)
-    assert found.ambiguous == {"__init__.py": ("src/robot/__init__.py", "src/robot/arm/__init__.py")}
-    assert found.ill_fitting == {"deep/src/only.cpp": 9}
+    assert found.left_out.unmatched == ("/usr/include/vector",)
+    assert found.left_out.ambiguous == {"__init__.py": ("src/robot/__init__.py", "src/robot/arm/__init__.py")}
+    assert found.left_out.ill_fitting == {"deep/src/only.cpp": 9}

@@ -56,7 +56,7 @@ def test_a_data_file_with_jumps(root: Path, tmp_path: Path) -> None:
     before = file.read_bytes()
     found = read(root, file)
     assert found.files == {"robot/__init__.py": FileCoverage(), "robot/naming.py": NAMING_COVERAGE}
-    assert found.mapped.unmatched == ("/usr/lib/other.py",)
+    assert found.left_out.unmatched == ("/usr/lib/other.py",)
     assert file.read_bytes() == before
 
 
@@ -104,7 +104,7 @@ def test_files_that_no_test_loads_count_with_all_their_lines(root: Path, tmp_pat
     file = write_data(tmp_path / ".coverage", {str(root / "robot/naming.py"): JUMPS})
     found = read(root, file)
     assert found.files["robot/arm.py"] == NOT_RUN
-    assert found.unreadable == ("robot/broken.py", "robot/old.py")
+    assert found.left_out.unreadable == ("robot/broken.py", "robot/old.py")
 
 
 def test_with_a_report_of_another_tool_too(root: Path, tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_language_that_no_report_speaks_of_counts_for_nothing(root: Path, tmp_
     (tmp_path / "l.info").write_text("SF:src/arm.cpp\nDA:1,1\nend_of_record\n")
     found = read(root, tmp_path / "l.info")
     assert found.files == {"src/arm.cpp": FileCoverage({1: 1})}
-    assert found.without_report == {"python": 2, "shell": 1}
+    assert found.left_out.without_report == {"python": 2, "shell": 1}
 
 
 def test_what_the_team_excludes_is_excluded(root: Path, tmp_path: Path) -> None:
@@ -138,13 +138,13 @@ def test_a_link_is_not_followed_out_of_the_repository(root: Path, tmp_path: Path
     names = ["robot/link.py", str(tmp_path / "secret.py"), "../secret.py", str(root / "../secret.py")]
     found = read(root, write_data(tmp_path / ".coverage", {name: [(-1, 1), (1, -1)] for name in names}))
     assert set(found.files) == {"robot/__init__.py", "robot/naming.py"}
-    assert set(names) <= set(found.mapped.unmatched)
+    assert set(names) <= set(found.left_out.unmatched)
 
 
 def test_names_that_may_be_several_files(root: Path, tmp_path: Path) -> None:
     commit(root, {"a/x.py": "1\n", "b/x.py": "2\n"})
     found = read(root, write_data(tmp_path / ".coverage", {"x.py": [(1, 2)]}))
-    assert found.mapped.ambiguous == {"x.py": ("a/x.py", "b/x.py")}
+    assert found.left_out.ambiguous == {"x.py": ("a/x.py", "b/x.py")}
     assert found.files["a/x.py"] == found.files["b/x.py"] == FileCoverage({1: 0})
 
 
@@ -227,4 +227,4 @@ def test_data_of_which_nothing_can_be_reported(root: Path, tmp_path: Path) -> No
     file = write_data(tmp_path / ".coverage", {str(root / "robot/naming.py"): JUMPS})
     found = read(root, file, source="robot/naming.py")
     assert found.files == {}
-    assert found.unreadable == ("robot/naming.py",)
+    assert found.left_out.unreadable == ("robot/naming.py",)

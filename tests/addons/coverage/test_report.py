@@ -15,7 +15,7 @@ from calibration.addons.coverage.pseudo_tested import (
     PseudoTestedResults,
     UnjudgedFunction,
 )
-from calibration.addons.coverage.reading import Found, Mapped
+from calibration.addons.coverage.reading import Found, UncountedFile
 from calibration.addons.coverage.report import badge, remarks, report
 from calibration.addons.coverage.results import (
     CoverageLimit,
@@ -40,11 +40,12 @@ FILES = {
     "robot/__init__.py": FileCoverage(),
     "a|b\n::error::.py": FileCoverage({1: 0}),
 }
-LEFT_OUT = Mapped(
-    FILES,
+LEFT_OUT = UncountedFile(
     tuple(f"/usr/include/{i}" for i in range(25)),
     {"x.py": ("a/x.py", "b/x.py")},
     {"robot/new.py": 99},
+    ("robot/broken.py",),
+    {"cpp": 3, "shell": 1},
 )
 FAILURES = (
     CaseOutcome("tests.test_a.test_x", "assert 1 == 2", "tests/test_a.py", 7),
@@ -63,7 +64,7 @@ PSEUDO_TESTED = PseudoTestedResults(
     seconds=12.3,
 )
 FULL = CoverageResults(
-    Found(LEFT_OUT, ("robot/broken.py",), {"cpp": 3, "shell": 1}),
+    Found(FILES, LEFT_OUT),
     60.0,
     "a" * 40,
     Tests("pytest -q", 1, 1.5, Tally(3, 2, 1, FAILURES)),
@@ -77,10 +78,8 @@ FULL = CoverageResults(
     ),
     upload=Uploaded("codacy", "failed", "codacy: answered 503"),
 )
-EMPTY = CoverageResults(Found.nothing(), 60.0, "a" * 40)
-GOOD = CoverageResults(
-    Found(Mapped({"a.py": FileCoverage({1: 1})})), 60.0, "a" * 40, upload=Uploaded("codacy", "uploaded")
-)
+EMPTY = CoverageResults(Found({}), 60.0, "a" * 40)
+GOOD = CoverageResults(Found({"a.py": FileCoverage({1: 1})}), 60.0, "a" * 40, upload=Uploaded("codacy", "uploaded"))
 
 
 def test_the_sentence() -> None:
@@ -181,16 +180,14 @@ def test_the_log() -> None:
 
 
 def test_a_long_table_is_cut_in_the_log() -> None:
-    many = Mapped({f"{i:04}.py": FileCoverage({1: 1}) for i in range(300)})
-    text = report(replace(GOOD, found=Found(many), no_change="no base")).log()
+    many = Found({f"{i:04}.py": FileCoverage({1: 1}) for i in range(300)})
+    text = report(replace(GOOD, found=many, no_change="no base")).log()
     assert "and 101 more, see results.json" in text
     assert text.endswith("\n\nno coverage of the change: no base")
 
 
 def test_tests_that_run_nothing_are_suspicious() -> None:
-    idle = replace(
-        GOOD, found=Found(Mapped({"a.py": FileCoverage({1: 0})})), tests=Tests("make", 0, 1.0), upload=Uploaded()
-    )
+    idle = replace(GOOD, found=Found({"a.py": FileCoverage({1: 0})}), tests=Tests("make", 0, 1.0), upload=Uploaded())
     assert remarks(idle) == [
         "not a line is run: tests that measure themselves (pytest-cov) name their report (reports)"
     ]
@@ -245,7 +242,7 @@ def test_annotations() -> None:
 
 def test_every_line_without_a_test_is_counted_on_github_and_ten_are_shown() -> None:
     lines = tuple(Span("a.py", line, line) for line in range(1, 400, 2))
-    files = Found(Mapped({"a.py": FileCoverage({line: line % 2 ^ 1 for line in range(1, 400)})}))
+    files = Found({"a.py": FileCoverage({line: line % 2 ^ 1 for line in range(1, 400)})})
     change = replace(GOOD, found=files, change=CoverageOfChange("b", Rate(0, 200), lines))
     log = io.StringIO()
     annotate(Runner(GITHUB, stdout=log), report(change).all_annotations())
