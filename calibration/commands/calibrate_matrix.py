@@ -19,7 +19,7 @@ from calibration.ci.execution.backends import (
     check_backend,
 )
 from calibration.ci.introspection import read_rules
-from calibration.ci.registries.credentials import RegistrySettings
+from calibration.ci.registries.reference import RegistrySettings
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import (
     NOISE_OPTION_OF_KEY,
@@ -181,7 +181,7 @@ def pull(settings: MatrixSettings, runner: Runner) -> None:
         raise InputError("registry-username is given without the image that it is for")
 
     login = RegistrySettings(username=settings.registry_username, password_variable=settings.password_variable)
-    from calibration.ci.image.bases import pull_image  # imports the engine's SDK
+    from calibration.ci.image.plan import pull_image  # imports the engine's SDK
 
     pull_image(image, login, runner, COMMAND_NAME)
 

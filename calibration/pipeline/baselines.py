@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.base.errors import CalibrationError, InputError
-from calibration.base.tables.selection import KeyedTable, LabelledRow
-from calibration.base.tables.table import read_table
+from calibration.base.tables.table import KeyedTable, LabelledRow, read_table
 from calibration.base.text import did_you_mean, parse_number, shorten
 from calibration.ci.git import Repository
 from calibration.ci.services import event_of

@@ -12,7 +12,7 @@ from calibration.ci.image import building
 from calibration.ci.image.build_request import BuildFailedError
 from calibration.ci.image.building import BuiltImage
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
-from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import Credentials
 from calibration.ci.workflow import Runner
 from calibration.commands import build_image
 

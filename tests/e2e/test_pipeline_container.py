@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.ci.registries.credentials import Credentials
-from calibration.ci.registries.reference import parse_reference
+from calibration.ci.registries.reference import Credentials, parse_reference
 from calibration.ci.registries.registry import RegistryClient
 from tests.docker_engine import Registry
 

@@ -4,10 +4,10 @@ Its interface is `ADDON`: `backend` (and leftovers of killed runs), opened by na
 calibration.yml), `ecr` and the command `aws_policy`. The other modules are private:
 
 - before a run: `checks` of jobs, images and queue
-- requests: `inputs`; jobs of one shape share a `definition`
-- the run: `submitting` in arrays, `run`, `following`, `logs`, `results`; with resume also results of an `earlier` run
+- requests: jobs of one shape share a `definition`
+- the run: `submitting` in arrays, `run`, `following`, `logs`, `results`; with resume also results of an earlier run
 - in the task: `inside`, which shares only `wire` (keys, variables, folders, documents) with the client
-- access to AWS: `session`, `store`
+- access to AWS: `session`, `store` (with the inputs of jobs)
 """
 
 from calibration.base.addons import Addon, BackendKind, DocumentSection, LazyCommand, SchemaFile

@@ -8,8 +8,7 @@ from botocore.config import Config
 
 from calibration.addons.aws_batch.session import aws_errors
 from calibration.base.errors import InfrastructureError
-from calibration.ci.registries.credentials import Credentials
-from calibration.ci.registries.reference import ECR_PUBLIC, Reference, ecr_host, parse_reference
+from calibration.ci.registries.reference import ECR_PUBLIC, Credentials, Reference, ecr_host, parse_reference
 from calibration.ci.workflow import Runner, add_mask
 
 PUBLIC_REGION = "us-east-1"

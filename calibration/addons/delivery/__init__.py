@@ -1,12 +1,11 @@
 """Delivery of calibrations: a bundle with a proof, and a check of it on the robot.
 
-- ``settings``: the section ``delivery``; ``manifest``: what a bundle says of itself;
-- ``archive``: the tar of a bundle, which has one possible form;
+- ``settings``: the section ``delivery``; ``manifest``: the tar of a bundle, and what it says of itself;
 - ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
 - ``bundling``: a bundle of the results of a run, and its files;
 - ``bundle``: the command and the stage;
-- ``destinations``: a bundle in a file, a folder or a registry; ``artifact``, ``release``: delivery to a registry, and
-  to GitHub's releases;
+- ``destinations``: a bundle in a file, a folder or a registry; ``artifact``: delivery to a registry, and to GitHub's
+  releases;
 - ``changes``: what differs between two bundles, the version that follows, and delivery; ``deliver``: the command;
 - ``fleet``: the command that compares the robots of a fleet;
 - ``checking``: whether a bundle is accepted on this robot;

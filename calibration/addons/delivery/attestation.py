@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.addons.delivery.archive import RefusedBundleError
-from calibration.addons.delivery.manifest import Manifest
+from calibration.addons.delivery.manifest import Manifest, RefusedBundleError
 from calibration.base.documents import parse_json
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from calibration import __version__
-from calibration.addons.delivery.archive import pack_files, unpack_files
 from calibration.addons.delivery.attestation import (
     ATTESTATION_ENDING,
     MAX_KEY_BYTES,
@@ -30,6 +29,8 @@ from calibration.addons.delivery.manifest import (
     JudgedStart,
     Manifest,
     SystemLeftOut,
+    pack_files,
+    unpack_files,
 )
 from calibration.addons.delivery.results import BundleResults
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings

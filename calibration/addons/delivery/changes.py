@@ -8,11 +8,10 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal
 
-from calibration.addons.delivery.archive import RefusedBundleError
 from calibration.addons.delivery.bundling import Bundle
 from calibration.addons.delivery.checking import Expectations, check_bundle
 from calibration.addons.delivery.destinations import Delivery, Destination, FetchedBundle
-from calibration.addons.delivery.manifest import BundledSystem, Manifest, version_order
+from calibration.addons.delivery.manifest import BundledSystem, Manifest, RefusedBundleError, version_order
 from calibration.base.documents import parse_json
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.records import read

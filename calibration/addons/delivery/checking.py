@@ -5,10 +5,17 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from calibration.addons.delivery.archive import RefusedBundleError, unpack_files
 from calibration.addons.delivery.attestation import SignedStatement, verify_attestation
 from calibration.addons.delivery.destinations import FetchedBundle
-from calibration.addons.delivery.manifest import MANIFEST_FILE, BundledFile, Manifest, parse_manifest, version_order
+from calibration.addons.delivery.manifest import (
+    MANIFEST_FILE,
+    BundledFile,
+    Manifest,
+    RefusedBundleError,
+    parse_manifest,
+    unpack_files,
+    version_order,
+)
 from calibration.base.errors import InputError
 
 if TYPE_CHECKING:

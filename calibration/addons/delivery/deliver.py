@@ -8,13 +8,12 @@ from typing import Annotated, Any
 
 import click
 
-from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES
-from calibration.addons.delivery.artifact import RegistryRepository
+from calibration.addons.delivery.artifact import GitHubReleases, RegistryRepository
 from calibration.addons.delivery.bundle import masked_signing_key, run_to_bundle, signing_key_option
 from calibration.addons.delivery.bundling import BUNDLE_FOLDER, PREDICATE_ENDING, Bundle, make_bundle, write_bundle
 from calibration.addons.delivery.changes import DeliveredBundle, deliver_bundle
 from calibration.addons.delivery.destinations import CHANGELOG_FILE, DeliveryFolder, Destination
-from calibration.addons.delivery.release import GitHubReleases
+from calibration.addons.delivery.manifest import MAX_BUNDLE_BYTES
 from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
@@ -22,9 +21,8 @@ from calibration.base.records import field, length, record
 from calibration.base.text import one_line
 from calibration.ci.execution.workspace import locked
 from calibration.ci.github.api import API_URL, GitHubApi
-from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.registries.login import registry_login
-from calibration.ci.registries.reference import parse_reference
+from calibration.ci.registries.reference import RegistrySettings, parse_reference
 from calibration.ci.registries.registry import RegistryClient
 from calibration.ci.workflow import Level, Runner, add_summary, annotate, set_outputs, stop_commands
 from calibration.ci.workflow.runner import Annotation, Event

@@ -1,7 +1,7 @@
 """Where bundles are: read from a file, an unpacked folder or a registry; and a delivery in two steps, never half there.
 
 ``stage`` sends everything, and nobody sees it; ``complete`` is one request that makes it seen; ``withdraw`` takes back
-what was staged. Here are the interface and a folder; `release` and `artifact` are GitHub's releases and registries.
+what was staged. Here are the interface and a folder; `artifact` has registries and GitHub's releases.
 """
 
 import json
@@ -14,9 +14,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from calibration.addons.delivery.archive import MAX_BUNDLE_BYTES, MAX_FILES, RefusedBundleError, pack_files
 from calibration.addons.delivery.attestation import ATTESTATION_ENDING, MAX_ATTESTATION_BYTES
-from calibration.addons.delivery.manifest import BUNDLE_ENDING, MANIFEST_FILE, Manifest, is_version, version_order
+from calibration.addons.delivery.manifest import (
+    BUNDLE_ENDING,
+    MANIFEST_FILE,
+    MAX_BUNDLE_BYTES,
+    MAX_FILES,
+    Manifest,
+    RefusedBundleError,
+    is_version,
+    pack_files,
+    version_order,
+)
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes, write_atomically
 from calibration.ci.workflow import Runner

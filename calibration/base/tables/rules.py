@@ -27,7 +27,7 @@ from typing import Annotated, Any, TypeAlias
 
 from calibration.base.errors import InputError
 from calibration.base.records import Constraint, Converted, Misfit, Place, at_least, field, length, read, record
-from calibration.base.tables.selection import (
+from calibration.base.tables.table import (
     Aggregate,
     EveryRow,
     IndexedRow,

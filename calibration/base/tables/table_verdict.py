@@ -8,8 +8,7 @@ from typing import TypeAlias
 from calibration.base.errors import InputError
 from calibration.base.records import computed, field, result
 from calibration.base.tables.rules import ChangeRule, LimitRule, Limits, Rule, RuleSet, TextRule
-from calibration.base.tables.selection import Aggregate, EveryRow, KeyedTable
-from calibration.base.tables.table import Table
+from calibration.base.tables.table import Aggregate, EveryRow, KeyedTable, Table
 from calibration.base.text import count_of, not_a_number, number_text, parse_number, shorten
 from calibration.base.verdict import Verdict, expectation, verdict_of
 

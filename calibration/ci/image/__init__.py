@@ -2,7 +2,7 @@
 
 - ``specification``: content of an image, as the user declares it;
 - ``dockerfile``, ``repositories``: conversion to a Dockerfile;
-- ``context``, ``bases``, ``plan``: input of the build, and its hash;
+- ``context``, ``plan``: input of the build, and its hash;
 - ``building``: search by the hash, build, and push;
 - ``build_request``, ``buildkit``, ``engine_builder``: BuildKit, and the engine's classic builder. Login, push and
   promotion are in `ci.registries`.

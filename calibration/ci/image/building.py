@@ -11,18 +11,16 @@ from typing import TYPE_CHECKING, Literal
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.ci.docker_engine import connect, engine_errors
-from calibration.ci.image.bases import Base, fetch, local_image
 from calibration.ci.image.build_request import BuildLog, BuildRequest, SecretValue, read_secrets, refuse_secrets_in
 from calibration.ci.image.buildkit import Program, build_and_push, build_by_buildkit, find_buildkit
 from calibration.ci.image.context import KEY_LABEL, build_labels, key_tag
 from calibration.ci.image.engine_builder import build_by_engine
-from calibration.ci.image.plan import Plan, make_plan
+from calibration.ci.image.plan import Base, Plan, fetch, local_image, make_plan
 from calibration.ci.image.report import WORDS_OF_PLACE
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
-from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote, push_image
-from calibration.ci.registries.reference import DOCKER_HUB, parse_reference
+from calibration.ci.registries.reference import DOCKER_HUB, Credentials, parse_reference
 from calibration.ci.registries.registry import RegistryClient
 from calibration.ci.workflow import Runner, group, stop_commands
 from calibration.ci.workflow.streams import Advance, progress

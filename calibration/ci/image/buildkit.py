@@ -20,8 +20,7 @@ from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import temporary_folder
 from calibration.base.programs import has_ended, started
 from calibration.ci.image.build_request import MAX_LAST_LINES, BuildLog, BuildRequest, build_problem, secret_files
-from calibration.ci.registries.credentials import Credentials
-from calibration.ci.registries.reference import DOCKER_HUB
+from calibration.ci.registries.reference import DOCKER_HUB, Credentials
 
 LONGEST_LINE = 64 * 1024
 

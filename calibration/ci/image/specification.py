@@ -52,8 +52,7 @@ from calibration.base.records import (
     record,
 )
 from calibration.ci.image.repositories import Repository, check_line, check_text, package_name, read_repositories
-from calibration.ci.registries.credentials import RegistrySettings, VariableName
-from calibration.ci.registries.reference import Reference, parse_reference
+from calibration.ci.registries.reference import Reference, RegistrySettings, VariableName, parse_reference
 
 DEFAULT_NAME = "calibration-image"
 """Name of images that are not for a registry."""

@@ -11,8 +11,7 @@ import requests
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.base.redaction import redact
 from calibration.base.text import one_line, shorten
-from calibration.ci.registries.credentials import Credentials
-from calibration.ci.registries.reference import Reference, check_tag, is_digest, parse_reference
+from calibration.ci.registries.reference import Credentials, Reference, check_tag, is_digest, parse_reference
 from calibration.ci.registries.registry import Manifest, RegistryClient, denied
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import Advance

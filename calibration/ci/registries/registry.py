@@ -13,8 +13,7 @@ from urllib.parse import urlencode, urljoin, urlsplit
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.http import MAX_BYTES, Answer, Http, Timeouts, is_loopback
 from calibration.base.text import one_line, shorten
-from calibration.ci.registries.credentials import Credentials
-from calibration.ci.registries.reference import DOCKER_HUB, Reference, is_digest, parse_reference
+from calibration.ci.registries.reference import DOCKER_HUB, Credentials, Reference, is_digest, parse_reference
 
 _SCHEME_NAME = re.compile(r"(?:^|,)\s*(bearer|basic)\b", re.IGNORECASE)
 _PARAMETER_TEXT = re.compile(r'([a-z_]+)\s*=\s*(?:"([^"]*)"|([^\s,"]+))', re.IGNORECASE)

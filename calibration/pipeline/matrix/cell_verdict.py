@@ -8,8 +8,7 @@ import numpy as np
 
 from calibration.base.errors import InputError
 from calibration.base.tables.rules import RuleSet
-from calibration.base.tables.selection import EveryRow
-from calibration.base.tables.table import parse_table, read_table
+from calibration.base.tables.table import EveryRow, parse_table, read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.ci.report import at_most
 from calibration.engine.diagnosis.limits import Limits

@@ -8,9 +8,8 @@ import pytest
 from calibration.addons.aws_batch.ecr import ecr_credentials
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.registries.credentials import RegistrySettings
 from calibration.ci.registries.login import registry_login
-from calibration.ci.registries.reference import ecr_host, is_ecr
+from calibration.ci.registries.reference import RegistrySettings, ecr_host, is_ecr
 from calibration.ci.workflow import Runner
 from tests.ci.registries.server import Reply, serve
 

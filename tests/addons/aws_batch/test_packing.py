@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.aws_batch.inputs import pack
+from calibration.addons.aws_batch.store import pack
 from calibration.base.errors import InfrastructureError, InputError
 from tests.addons.aws_batch.client import unpacked
 

@@ -10,7 +10,6 @@ import yaml
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from calibration.addons.delivery.archive import pack_files
 from calibration.addons.delivery.attestation import key_id, signed_envelope, statement_of
 from calibration.addons.delivery.destinations import FetchedBundle
 from calibration.addons.delivery.manifest import (
@@ -21,6 +20,7 @@ from calibration.addons.delivery.manifest import (
     BundledTransform,
     JudgedStart,
     Manifest,
+    pack_files,
 )
 from calibration.base.records import document_of
 

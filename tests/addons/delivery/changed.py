@@ -10,10 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from calibration.addons.delivery.archive import unpack_files
 from calibration.addons.delivery.checking import CheckedBundle, Expectations, check_bundle
 from calibration.addons.delivery.destinations import FetchedBundle
-from calibration.addons.delivery.manifest import MANIFEST_FILE
+from calibration.addons.delivery.manifest import MANIFEST_FILE, unpack_files
 from tests.addons.delivery.bundles import DAY, FILES, MADE, MANIFEST, OTHER_KEY, SYSTEM, TRUSTED, packed, signed
 
 GOOD = signed(packed())

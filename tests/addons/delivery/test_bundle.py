@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main
-from calibration.addons.delivery.archive import unpack_files
+from calibration.addons.delivery.manifest import unpack_files
 from calibration.commands.schema import generated
 from tests.repositories import git
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from calibration.addons.delivery.archive import pack_files, unpack_files
 from calibration.addons.delivery.attestation import signed_envelope, statement_of
 from calibration.addons.delivery.checking import check_bundle
+from calibration.addons.delivery.manifest import pack_files, unpack_files
 from calibration.base.errors import InputError
 
 from .bundles import FILES, KEY, MANIFEST, NAME, OTHER_KEY, SYSTEM, packed, signed

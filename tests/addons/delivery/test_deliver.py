@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main
-from calibration.addons.delivery.archive import pack_files, unpack_files
 from calibration.addons.delivery.changes import Level, changes_between, level_of, next_version, read_contents
 from calibration.addons.delivery.destinations import FetchedBundle
+from calibration.addons.delivery.manifest import pack_files, unpack_files
 from calibration.base import http
 from calibration.engine.baseline.quality import BaselineSettings
 from tests.ci.registries.server import Reply, Request

@@ -6,7 +6,7 @@ import pytest
 from calibration.base.errors import InputError
 from calibration.base.tables import parse_rules
 from calibration.base.tables.rules import Allowance, ChangeRule, LimitRule, Limits, RuleSet, TextRule
-from calibration.base.tables.selection import Aggregate, EveryRow, IndexedRow, LabelledRow
+from calibration.base.tables.table import Aggregate, EveryRow, IndexedRow, LabelledRow
 
 RMS = "RMS (pix)"
 

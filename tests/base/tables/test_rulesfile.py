@@ -4,7 +4,7 @@ import pytest
 
 from calibration.base.errors import InputError
 from calibration.base.tables.rules import LimitRule, Limits, RuleSet, TextRule
-from calibration.base.tables.selection import EveryRow, IndexedRow, LabelledRow
+from calibration.base.tables.table import EveryRow, IndexedRow, LabelledRow
 from calibration.ci.introspection import read_rules
 
 COLUMNS = """

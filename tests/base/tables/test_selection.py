@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 
 from calibration.base.errors import InputError
 from calibration.base.tables import Table
-from calibration.base.tables.selection import (
+from calibration.base.tables.table import (
     Aggregate,
     IndexedRow,
     KeyedTable,
     LabelledRow,
     parse_aggregate,
     parse_row,
+    parse_table,
 )
-from calibration.base.tables.table import parse_table
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from calibration.base.errors import InfrastructureError
 from calibration.ci.image import buildkit
 from calibration.ci.image.buildkit import Program, find_buildkit, lines_of, write_login
-from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import Credentials
 from tests.docker_engine import wait_until
 from tests.processes import runs
 

@@ -7,11 +7,11 @@ import pytest
 
 from calibration.base.errors import InfrastructureError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.bases import fetch
 from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest
 from calibration.ci.image.context import Context
 from calibration.ci.image.engine_builder import build_by_engine
-from calibration.ci.registries.credentials import Credentials
+from calibration.ci.image.plan import fetch
+from calibration.ci.registries.reference import Credentials
 from calibration.ci.workflow import Runner
 from tests.ci.registries.server import Reply, serve
 

@@ -15,7 +15,7 @@ from calibration.ci.image.specification import (
     parse_image_specification,
     read_image_specification,
 )
-from calibration.ci.registries.credentials import RegistrySettings
+from calibration.ci.registries.reference import RegistrySettings
 
 HERE = Path("somewhere")
 

@@ -8,8 +8,8 @@ import pytest
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.registries.credentials import Credentials, RegistrySettings
 from calibration.ci.registries.login import registry_login
+from calibration.ci.registries.reference import Credentials, RegistrySettings
 from calibration.ci.workflow import Runner
 
 PASSWORD = "pl4nted-password"  # noqa: S105

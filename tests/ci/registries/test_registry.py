@@ -10,7 +10,7 @@ import pytest
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
 from calibration.base.http import Timeouts
-from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import Credentials
 from calibration.ci.registries.registry import MEDIA_TYPES, Manifest, RegistryClient
 from tests.ci.registries.server import Reply, Request, Server, serve
 

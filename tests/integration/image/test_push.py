@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.ci.registries.credentials import Credentials
 from calibration.ci.registries.push import push_image
+from calibration.ci.registries.reference import Credentials
 from calibration.ci.registries.registry import RegistryClient
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import progress

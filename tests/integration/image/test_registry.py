@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.base.errors import InputError
-from calibration.ci.registries.credentials import Credentials
+from calibration.ci.registries.reference import Credentials
 from calibration.ci.registries.registry import Manifest, RegistryClient
 from tests.docker_engine import Registry
 from tests.integration.image.registries import fresh_name, small_image
