@@ -10,7 +10,7 @@ from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
 from calibration.base.text import one_line
-from calibration.ci.execution.workspace import locked
+from calibration.ci.execution.tasks import locked
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.engine.baseline.document import read_baseline, write_baseline

@@ -34,7 +34,7 @@ from calibration.addons.coverage.tests import (
 )
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.files import matching, temporary_folder, write_atomically
-from calibration.base.programs import hide
+from calibration.base.process import hide
 from calibration.base.records import at_least, between, field, record
 from calibration.base.text import one_line
 from calibration.ci.execution.sizes import parse_seconds

@@ -20,7 +20,7 @@ from calibration.addons.coverage.coverage_py import bring_coverage, measured_nam
 from calibration.addons.coverage.formats import MAX_BYTES
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.files import read_bytes
-from calibration.base.programs import has_ended, started
+from calibration.base.process import has_ended, started
 from calibration.base.records import computed, field, result
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.log_file import LogFile

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.programs import has_ended, started
+from calibration.base.process import has_ended, started
 from calibration.base.text import one_line, shorten
 
 MAX_COPY_BYTES = 2 << 30

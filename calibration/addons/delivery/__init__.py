@@ -1,6 +1,6 @@
 """Delivery of calibrations: a bundle with a proof, and a check of it on the robot.
 
-- ``settings``: the section ``delivery``; ``manifest``: the tar of a bundle, and what it says of itself;
+- ``manifest``: the tar of a bundle, and what it says of itself;
 - ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
 - ``bundling``: a bundle of the results of a run, and its files;
 - ``bundle``: the command and the stage;
@@ -8,9 +8,9 @@
   releases;
 - ``changes``: what differs between two bundles, the version that follows, and delivery; ``deliver``: the command;
 - ``fleet``: the command that compares the robots of a fleet;
-- ``checking``: whether a bundle is accepted on this robot;
-- ``in_use``: transforms and cameras that are in use; ``comparing``: with those of a bundle;
-- ``results``: the output; ``verify``: the command, which needs no numpy.
+- ``checking``: whether a bundle is accepted on this robot, and is what is in use;
+- ``in_use``: transforms and cameras that are in use;
+- ``results``: the section ``delivery``, and the output; ``verify``: the command, which needs no numpy.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
@@ -26,7 +26,7 @@ ADDON = Addon(
     },
     sections={
         "delivery": DocumentSection(
-            f"{__name__}.settings:DeliverySettings",
+            f"{__name__}.results:DeliverySettings",
             "A bundle for the robot of what passed and is accepted, a stage of run; {} for the defaults.",
         )
     },

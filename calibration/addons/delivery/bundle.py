@@ -7,12 +7,11 @@ from typing import Any
 import click
 
 from calibration.addons.delivery.bundling import BUNDLE_FOLDER, RunToBundle, make_bundle, with_collected, write_bundle
-from calibration.addons.delivery.results import BundleResults, Delivered
-from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
+from calibration.addons.delivery.results import KEY_VARIABLE, BundleResults, Delivered, DeliverySettings
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.records import changed, field, record
 from calibration.base.text import one_line
-from calibration.ci.execution.workspace import locked
+from calibration.ci.execution.tasks import locked
 from calibration.ci.report import remove_results
 from calibration.ci.workflow import Level, Runner, add_mask, annotate, set_outputs, stop_commands
 from calibration.ci.workflow.runner import Annotation

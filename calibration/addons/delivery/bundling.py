@@ -32,8 +32,7 @@ from calibration.addons.delivery.manifest import (
     pack_files,
     unpack_files,
 )
-from calibration.addons.delivery.results import BundleResults
-from calibration.addons.delivery.settings import KEY_VARIABLE, DeliverySettings
+from calibration.addons.delivery.results import KEY_VARIABLE, BundleResults, DeliverySettings
 from calibration.base.arrays import Array
 from calibration.base.documents import MAX_BYTES
 from calibration.base.errors import InputError

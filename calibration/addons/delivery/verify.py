@@ -9,8 +9,15 @@ from typing import Annotated, Any
 import click
 
 from calibration.addons.delivery.attestation import read_public_keys
-from calibration.addons.delivery.checking import SECONDS_OF_DAY, CheckedBundle, Expectations, check_bundle
-from calibration.addons.delivery.comparing import ComparedWithUse, Tolerance, compare_with_use
+from calibration.addons.delivery.checking import (
+    SECONDS_OF_DAY,
+    CheckedBundle,
+    ComparedWithUse,
+    Expectations,
+    Tolerance,
+    check_bundle,
+    compare_with_use,
+)
 from calibration.addons.delivery.destinations import ATTESTATION_IN_FOLDER, FetchedBundle, fetch_bundle
 from calibration.addons.delivery.in_use import MAX_FILE_BYTES, read_in_use
 from calibration.addons.delivery.manifest import BundledSystem, Manifest, RefusedBundleError, Version, version_order

@@ -4,8 +4,7 @@ Nothing of the image is trusted: containers have the limits of jobs, and their r
 
 - ``settings``: an entry of the section ``tests``, and its job;
 - ``run_tests.sh``: what the container runs: finds the tool of the workspace, and collects reports and coverage;
-- ``judging``: the files and the end of one run, as its verdict;
-- ``results``: what was found, and its report;
+- ``results``: the files and the end of a run, as its verdict; what was found, and its report;
 - ``running``: all entries, with their repeats and retries, and the stage; ``test_image``: the command.
 """
 

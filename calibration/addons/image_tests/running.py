@@ -5,12 +5,13 @@ from dataclasses import replace
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
 
-from calibration.addons.image_tests.judging import JudgedRun, judge_run
 from calibration.addons.image_tests.results import (
     MAX_NAMED_TESTS,
     ImageTestsResults,
+    JudgedRun,
     Tested,
     TestsOfEntry,
+    judge_run,
     report,
     results_of_entry,
 )

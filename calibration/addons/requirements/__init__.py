@@ -7,7 +7,7 @@
 - ``judging``: a bag is read once, and each requirement fed with the messages of its topics; those of frames, nodes
   and services;
 - ``live``: a watch by rosbridge while the containers run, which only ends early what has failed already;
-- ``results``: the output; ``check_messages``: the command; ``stage``: the stage judge of a pipeline.
+- ``results``: the output; ``check_messages``: the command, and the stage judge of a pipeline.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
@@ -26,7 +26,7 @@ ADDON = Addon(
     },
     stages={
         "judge": AddonStage(
-            f"{__name__}.stage:judge_stage",
+            f"{__name__}.check_messages:judge_stage",
             section="requirements",
             result=DocumentSection(
                 f"{__name__}.results:JudgedMessages",

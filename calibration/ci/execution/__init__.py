@@ -1,6 +1,6 @@
 """Execution of tasks, independent of calibration.
 
-- ``tasks``: tasks, and the loop that runs them; ``workspace``: results that survive an interruption;
+- ``tasks``: tasks, the loop that runs them, and results that survive an interruption;
 - ``backends``: registry of backends: ``embedded`` (functions in processes of this machine), ``docker`` and those of
   add-ons (jobs of containers);
 - ``job``, ``outcome``: a job of containers, and its result; ``sizes``, ``job_check``: parsing and validation of a job's

@@ -2,15 +2,25 @@
 
 A task is named work: a function, or a job of containers whose files are judged in this process. The loop reuses
 finished results, runs the remaining tasks on the backends, reports the progress, and stops everything when it is
-interrupted or a result demands it. A `calibration.ci.execution.workspace.Workspace` preserves finished results.
+interrupted or a result demands it. A `Workspace` preserves finished results: it is the folder ``.unfinished``
+inside the output, which may be a separate volume. It survives an interruption, and the same command continues from it.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing
+import errno
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
+from urllib.parse import quote
 
+from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.files import write_atomically, writing
 from calibration.ci.execution.backends import Backend, ExecutionTarget
 from calibration.ci.execution.embedded import Embedded
 from calibration.ci.execution.job import Job
@@ -112,3 +122,157 @@ def _in_order(tasks: Sequence[Task[Result]], found: dict[str, Result]) -> dict[s
 
 def _as_it_is(result: Result) -> Result:
     return result
+
+
+_NO_LOCKS = (errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOTSUP)
+"""What file systems say that cannot lock a folder, such as NFS; there nothing is locked."""
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Lock a folder during the block; the lock is gone too when this process was killed.
+
+    The folder and those above are created where they are missing, and removed again if they stay empty.
+
+    Raises:
+        InputError: another run uses this folder.
+        InfrastructureError: the folder cannot be created or read.
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        descriptor = _locked_descriptor(folder)
+    except BaseException:
+        _remove_empty(made)
+        raise
+    try:
+        yield
+    finally:
+        _remove_empty(made)  # under the lock: else another run may have locked the folder that is removed
+        os.close(descriptor)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for path in folders:
+        with suppress(OSError):  # not empty, or not created
+            path.rmdir()
+
+
+def _locked_descriptor(folder: Path) -> int:
+    """Return an open descriptor of a folder, which is locked until it is closed."""
+    while True:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        except (FileExistsError, NotADirectoryError):
+            raise InfrastructureError(f"{folder}: cannot be written: it, or a folder above it, is a file") from None
+        except FileNotFoundError:
+            continue  # another run has just removed it
+        except OSError as error:
+            raise InfrastructureError(f"{folder}: cannot be written: {error.strerror}") from error
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(descriptor)
+            raise InputError(f"{folder}: another run uses this folder; wait for it, or stop it") from None
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                os.close(descriptor)
+                raise InfrastructureError(f"{folder}: cannot be locked: {error.strerror}") from error
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), folder.stat()):
+                return descriptor
+        os.close(descriptor)  # another run removed it before it was locked
+
+
+UNFINISHED_FOLDER = ".unfinished"
+_IDENTITY_FILE = "identity.txt"
+_RESULT_SUFFIX = ".result.json"
+
+
+def identity(*parts: bytes) -> str:
+    """Return a fingerprint of the inputs of work."""
+    digest = hashlib.sha256()
+    for part in parts:
+        digest.update(len(part).to_bytes(8, "little"))
+        digest.update(part)
+    return digest.hexdigest()
+
+
+class Workspace(Generic[Result]):
+    """Folder of an unfinished run, locked while it is used."""
+
+    def __init__(self, folder: Path, encode: Callable[[Result], str], decode: Callable[[bytes], Result]) -> None:
+        """Use a folder; ``encode`` and ``decode`` convert results to JSON and back."""
+        self.folder = folder
+        self._encode = encode
+        self._decode = decode
+
+    def find(self, name: str) -> Result | None:
+        """Return the result of a finished task; None if it is not finished, or cannot be read."""
+        with suppress(OSError, ValueError, TypeError, KeyError, AttributeError, InputError):
+            return self._decode(self._result_path(name).read_bytes())
+        return None
+
+    def keep(self, name: str, result: Result, files: Mapping[str, bytes] | None = None) -> Result:
+        """Write the files of a task, then its result, which marks the task as finished.
+
+        Raises:
+            InfrastructureError: a file cannot be written.
+        """
+        for file, content in (files or {}).items():
+            write_atomically(self.folder / file, content)
+        write_atomically(self._result_path(name), self._encode(result))
+        return result
+
+    def keeping(self, task: Task[Result]) -> Task[Result]:
+        """Return the task with its result saved as soon as it is available."""
+        return task.then(lambda result: self.keep(task.name, result))
+
+    def count(self) -> int:
+        """Return the number of finished tasks."""
+        return sum(1 for _ in self.folder.glob(f"*{_RESULT_SUFFIX}"))
+
+    def _result_path(self, name: str) -> Path:
+        return self.folder / f"{quote(name, safe=' ,')}{_RESULT_SUFFIX}"
+
+
+@contextmanager
+def workspace(
+    output: Path, identity: str, encode: Callable[[Result], str], decode: Callable[[bytes], Result]
+) -> Iterator[Workspace[Result]]:
+    """Open the workspace inside an output folder; its content is kept only if it has the same identity.
+
+    If the block fails, the workspace is kept if it contains results; otherwise it is
+    removed, including folders that were created for it.
+
+    Args:
+        output: output folder.
+        identity: fingerprint of the inputs of the results.
+        encode: converts a result to JSON.
+        decode: converts JSON to a result; an exception means that the task is not finished.
+
+    Raises:
+        InputError: another run uses this folder.
+        InfrastructureError: the folder cannot be created or written.
+    """
+    folder = output / UNFINISHED_FOLDER
+    with writing(output), locked(output):
+        if not _is_of(folder, identity):
+            if folder.exists():
+                shutil.rmtree(folder)
+            folder.mkdir()
+            write_atomically(folder / _IDENTITY_FILE, json.dumps(identity))
+        work, finished = Workspace(folder, encode, decode), False
+        try:
+            yield work
+            finished = True
+        finally:
+            if finished or not work.count():
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _is_of(folder: Path, identity: str) -> bool:
+    try:
+        return bool(json.loads((folder / _IDENTITY_FILE).read_bytes()) == identity)
+    except (OSError, ValueError):
+        return False

@@ -21,8 +21,7 @@ from calibration.base.errors import InputError
 from calibration.base.files import temporary_folder
 from calibration.base.records import document_of, read
 from calibration.ci.execution.backends import ExecutionTarget
-from calibration.ci.execution.tasks import run_tasks
-from calibration.ci.execution.workspace import identity, workspace
+from calibration.ci.execution.tasks import identity, run_tasks, workspace
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Start
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult

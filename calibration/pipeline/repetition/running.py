@@ -10,7 +10,7 @@ from calibration.base.addons import import_attribute, of_addons
 from calibration.base.errors import CalibrationError, ExitCode
 from calibration.base.flake_rate import MAX_REPETITIONS, runs_show
 from calibration.base.text import count_of, one_line
-from calibration.ci.execution.workspace import locked
+from calibration.ci.execution.tasks import locked
 from calibration.ci.pages.html import bullets, element, join, page, table, verdict_line
 from calibration.ci.report import FILES, Block, Lines, Outcome, Report, Table, remove_results, show
 from calibration.ci.report.badge import BADGE_FILE, verdict_badge

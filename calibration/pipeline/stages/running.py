@@ -16,7 +16,7 @@ from calibration.base.errors import InputError
 from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.job import Container
-from calibration.ci.execution.workspace import locked
+from calibration.ci.execution.tasks import locked
 from calibration.ci.report import Report, show
 from calibration.ci.report.results_json import StageResult
 from calibration.ci.workflow import Runner

@@ -17,8 +17,7 @@ from calibration.base.documents import read_yaml
 from calibration.base.errors import InputError
 from calibration.base.files import link_or_copy, write_atomically
 from calibration.base.records import read, text_of
-from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.ci.execution.workspace import identity, workspace
+from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.engine.dataset.modalities import LIDAR3D, POSE, RGB, Modality
 from calibration.engine.dataset.model import Edge

@@ -14,8 +14,7 @@ from calibration import __version__
 from calibration.base.errors import InputError
 from calibration.base.files import link_or_copy, write_atomically
 from calibration.base.records import read, text_of
-from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.ci.execution.workspace import identity, workspace
+from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
 from calibration.engine.dataset.configuration import PatternConfiguration, parse_configuration
 from calibration.engine.dataset.document import Node, locate, read_json
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset

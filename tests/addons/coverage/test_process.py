@@ -65,7 +65,7 @@ def test_what_it_leaves_behind_is_ended(tmp_path: Path) -> None:
 
 
 def test_it_may_not_take_longer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.base.programs.STOP_SECONDS", 0.2)  # it ignores SIGTERM
+    monkeypatch.setattr("calibration.base.process.STOP_SECONDS", 0.2)  # it ignores SIGTERM
     output = bytearray()
     with pytest.raises(InfrastructureError, match=r"the tests took longer than 1.5 s \(timeout\) and were stopped"):
         run([sys.executable, "-c", STUBBORN], tmp_path, dict(os.environ), 1.5, output.extend)
@@ -86,10 +86,10 @@ def test_a_signal_to_us_ends_it_too(tmp_path: Path, number: signal.Signals) -> N
 import os, sys
 from pathlib import Path
 from typing import Any
-from calibration.base import programs
+from calibration.base import process
 from calibration.addons.coverage import tests as process
 from calibration.base.process import terminate_cleanly
-programs.GRACE = 0.2
+process.GRACE = 0.2
 try:
     with terminate_cleanly():
         process.run([sys.executable, "-c", {STUBBORN!r}], Path(), dict(os.environ), 60, lambda data: os.write(1, data))
@@ -119,7 +119,7 @@ def test_a_signal_that_arrives_while_it_starts(tmp_path: Path, monkeypatch: pyte
         signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         return started
 
-    monkeypatch.setattr("calibration.base.programs.subprocess.Popen", start_slowly)
+    monkeypatch.setattr("calibration.base.process.subprocess.Popen", start_slowly)
     with pytest.raises(KeyboardInterrupt):
         execute("import time; time.sleep(60)", tmp_path)
     assert gone(pids)

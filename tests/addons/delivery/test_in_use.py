@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.addons.delivery.comparing import ComparedWithUse, Tolerance, compare_with_use
+from calibration.addons.delivery.checking import ComparedWithUse, Tolerance, compare_with_use
 from calibration.addons.delivery.in_use import (
     InUse,
     UsedTransform,

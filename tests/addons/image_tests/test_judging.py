@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.image_tests.judging import RUN_CASE, JudgedRun, judge_run
-from calibration.addons.image_tests.results import TestsOfEntry, results_of_entry
+from calibration.addons.image_tests.results import RUN_CASE, JudgedRun, TestsOfEntry, judge_run, results_of_entry
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base.errors import ExitCode
 from calibration.ci.execution.job import Container

@@ -9,12 +9,12 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.execution.workspace import locked
+from calibration.ci.execution.tasks import locked
 
 HOLDING = """
 import sys, time
 from pathlib import Path
-from calibration.ci.execution.workspace import locked
+from calibration.ci.execution.tasks import locked
 with locked(Path(sys.argv[1])):
     print("locked", flush=True)
     time.sleep(600)

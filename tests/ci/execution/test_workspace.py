@@ -10,8 +10,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.ci.execution.workspace import UNFINISHED_FOLDER, Workspace, identity, workspace
+from calibration.ci.execution.tasks import UNFINISHED_FOLDER, Task, Workspace, identity, run_tasks, workspace
 
 
 def opened(output: Path, identity: str) -> AbstractContextManager[Workspace[int]]:
@@ -61,7 +60,7 @@ def test_an_interruption_before_anything_is_done_leaves_nothing(tmp_path: Path) 
 
 def test_two_at_a_time(tmp_path: Path) -> None:
     code = (
-        "import sys, json; from pathlib import Path; from calibration.ci.execution.workspace import workspace\n"
+        "import sys, json; from pathlib import Path; from calibration.ci.execution.tasks import workspace\n"
         "with workspace(Path(sys.argv[1]), 'a', json.dumps, json.loads): pass"
     )
     with opened(tmp_path, "a"):

@@ -56,7 +56,7 @@ def test_lines_and_exit_code(tmp_path: Path) -> None:
 def test_closing_the_generator_stops_the_program_and_its_children(
     tmp_path: Path, ignores: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calibration.base.programs.STOP_SECONDS", 0.2)
+    monkeypatch.setattr("calibration.base.process.STOP_SECONDS", 0.2)
     mark = f"{os.getpid()}{time.monotonic_ns() % 100_000}"
     with (tmp_path / "in").open("w+b") as stdin:
         command = ["sh", "-c", f"{ignores}sleep 3{mark[-5:]} & echo $!; wait; sleep 3600"]

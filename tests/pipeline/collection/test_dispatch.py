@@ -155,7 +155,7 @@ def test_a_full_disk_loses_nothing(
             raise InfrastructureError(f"{path}: cannot be written: No space left on device")
         write_atomically(path, content)
 
-    monkeypatch.setattr("calibration.ci.execution.workspace.write_atomically", full)
+    monkeypatch.setattr("calibration.ci.execution.tasks.write_atomically", full)
     with pytest.raises(InfrastructureError, match="No space left on device"):
         collect_dataset(request_, tmp_path, jobs=1)
     assert (tmp_path / "notes.txt").read_text() == "mine"

@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.ci.execution.workspace import Workspace
+from calibration.ci.execution.tasks import Task, Workspace, run_tasks
 from calibration.engine.dataset.model import CornerLabels, Edge
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.frames import JOINT_PARAMETERS

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.ci.execution.workspace import Workspace
+from calibration.ci.execution.tasks import Workspace
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.record import Record, collect
 from calibration.robot.simulation.motion.sequence import Motion, moving_model, read_motion
