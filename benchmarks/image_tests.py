@@ -7,8 +7,8 @@ from typing import Any
 
 from benchmarks.rows import Bar, Row
 from calibration.addons.image_tests.results import TestsOfEntry
-from calibration.addons.image_tests.running import run_image_tests
 from calibration.addons.image_tests.settings import ImageTests
+from calibration.addons.image_tests.test_image import run_image_tests
 from calibration.base.records import read
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.image.building import build_image

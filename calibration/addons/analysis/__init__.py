@@ -3,9 +3,9 @@
 Knows nothing of calibration, and runs nothing of what it analyses.
 
 - ``settings``: options, limits of the number of findings, accepted findings;
-- ``copies``: the tracked files, and those of an earlier commit, as folders without links;
+- ``copies``: the tracked files, and those of an earlier commit, as folders without links; new findings between them;
 - ``analysers``: the external programs and our own checks, and their output as findings;
-- ``comparison``: new findings; ``metrics``: complexity, duplicates and a grade;
+- ``metrics``: complexity, duplicates and a grade;
 - ``results``, ``report``: the output formats, SARIF among them;
 - ``static_analysis``: the command, the stage analyse of a pipeline, and what they do.
 """

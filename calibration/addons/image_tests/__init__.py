@@ -5,7 +5,7 @@ Nothing of the image is trusted: containers have the limits of jobs, and their r
 - ``settings``: an entry of the section ``tests``, and its job;
 - ``run_tests.sh``: what the container runs: finds the tool of the workspace, and collects reports and coverage;
 - ``results``: the files and the end of a run, as its verdict; what was found, and its report;
-- ``running``: all entries, with their repeats and retries, and the stage; ``test_image``: the command.
+- ``test_image``: all entries, with their repeats and retries; the command, and the stage.
 """
 
 from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyCommand, SchemaFile
@@ -21,7 +21,7 @@ ADDON = Addon(
     },
     stages={
         "test": AddonStage(
-            f"{__name__}.running:test_stage",
+            f"{__name__}.test_image:test_stage",
             section="tests",
             result=DocumentSection(f"{__name__}.results:Tested", "Tests in the image, where calibration.yml has any."),
             needs_image=True,

@@ -5,8 +5,7 @@ from pathlib import Path
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.analysis.comparison import Compared, compare
-from calibration.addons.analysis.copies import Copy
+from calibration.addons.analysis.copies import Compared, Copy, compare
 from calibration.addons.analysis.results import CodeFinding
 from tests.repositories import write
 

@@ -8,8 +8,8 @@ from calibration.addons.analysis.results import CodeFinding
 from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS, Argument, CMakeCommand
 from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of
-from calibration.addons.analysis.ros.python_file import parse_python
 from calibration.addons.analysis.ros.repository import RosRepository, module_places
+from calibration.addons.analysis.ros.tree import parse_python
 from calibration.addons.analysis.ros.uses import BUILT_IN_TYPES
 
 _SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")

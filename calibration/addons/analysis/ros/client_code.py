@@ -12,7 +12,7 @@ from typing import Literal
 import tree_sitter_cpp
 from tree_sitter import Language, Node, Parser
 
-from calibration.addons.analysis.ros.python_file import PythonFile, argument_of, parse_python
+from calibration.addons.analysis.ros.tree import PythonFile, argument_of, parse_python
 
 Kind = Literal[
     "publisher", "subscriber", "server", "client", "action server", "action client", "declared parameter", "parameter"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, NodeStart, Remapping, known
-from calibration.addons.analysis.ros.python_file import PythonFile, argument_of, parse_python
+from calibration.addons.analysis.ros.tree import PythonFile, argument_of, parse_python
 
 _UNKNOWN_PART = "$(?)"
 _MAX_EXPRESSION_DEPTH = 30

@@ -13,8 +13,7 @@ from functools import cached_property
 from xml.etree.ElementTree import Element
 
 from calibration.addons.analysis.ros.cmake import CMakeCommand, read_cmake
-from calibration.addons.analysis.ros.python_file import PythonFile, parse_python
-from calibration.addons.analysis.ros.tree import Tree, line_of, parents, parse_xml
+from calibration.addons.analysis.ros.tree import PythonFile, Tree, line_of, parents, parse_python, parse_xml
 
 _ENTRY_POINT = re.compile(r"\s*([\w.-]+)\s*=\s*([\w.]+)\s*(?::\s*([\w.]+))?\s*(?:\[.*\])?\s*")
 

@@ -11,8 +11,7 @@ from calibration.addons.analysis.ros.cmake import CMakeCommand
 from calibration.addons.analysis.ros.launch import Include, Launch, package_of, read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
 from calibration.addons.analysis.ros.package import Package, find_packages
-from calibration.addons.analysis.ros.python_file import imported_modules, parse_python
-from calibration.addons.analysis.ros.tree import Tree, join, reachable
+from calibration.addons.analysis.ros.tree import Tree, imported_modules, join, parse_python, reachable
 from calibration.addons.analysis.ros.uses import COMMON_PACKAGES
 
 _SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")

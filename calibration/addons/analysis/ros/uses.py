@@ -6,8 +6,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from calibration.addons.analysis.ros.package import Package, fields_of
-from calibration.addons.analysis.ros.python_file import imported_modules, parse_python
-from calibration.addons.analysis.ros.tree import without_comments
+from calibration.addons.analysis.ros.tree import imported_modules, parse_python, without_comments
 
 _PACKAGE_NAMES = """
 actionlib actionlib_msgs amcl ament_cmake ament_cmake_auto ament_cmake_gtest ament_cmake_pytest
