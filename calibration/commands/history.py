@@ -69,7 +69,6 @@ def report(found: History, drawing: bytes | None) -> Report:
                 STEPS_SHOWN,
             ),
         ),
-        suites={},
         results=found,
         outputs={"changes": found.changes},
         notes=tuple(_creep_text(trend) for trend in creeping),

@@ -29,12 +29,7 @@ class Glob:
     @cached_property
     def source(self) -> str:
         """Path to read: the path itself, or its last folder without a wildcard."""
-        fixed = (
-            self._path_parts
-            if self._parts_before_wildcard == len(self._path_parts)
-            else self._path_parts[: self._parts_before_wildcard]
-        )
-        return "/" + "/".join(fixed)
+        return "/" + "/".join(self._path_parts[: self._parts_before_wildcard])
 
     def landing(self, inside: Sequence[str]) -> tuple[str, ...] | None:
         """Return the target of a path below :attr:`source`, relative to the last folder without a wildcard.
@@ -210,22 +205,17 @@ def complete_or_not_at_all(folder: Path) -> Iterator[Path]:
     Raises:
         InfrastructureError: it cannot be created.
     """
-    temporary = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
-    try:
-        temporary.mkdir(parents=True)
-        yield temporary
-        temporary.rename(folder)
-    except OSError as error:
-        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+    with _fresh_folder(folder) as fresh:
+        yield fresh
+        fresh.rename(folder)
 
 
 @contextmanager
 def _fresh_folder(folder: Path) -> Iterator[Path]:
-    fresh = folder.with_name(f"{folder.name}-{os.urandom(6).hex()}")
+    """Yield a temporary folder beside ``folder``, which is removed at the end of the block."""
+    fresh = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
     try:
-        fresh.mkdir()
+        fresh.mkdir(parents=True)
         yield fresh
     except OSError as error:
         raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error

@@ -51,9 +51,9 @@ class Report:
     """Text after the verdict in the last line: ``2 violations in 4 checks of 1 table``."""
     results: Any
     """Content of results.json beside schema, verdict and reasons: a record, or a mapping."""
-    suites: Mapping[str, Sequence[Outcome]]
+    suites: Mapping[str, Sequence[Outcome]] = field(default_factory=dict)
     """Outcomes for JUnit, by suite."""
-    outputs: Mapping[str, OutputValue | None]
+    outputs: Mapping[str, OutputValue | None] = field(default_factory=dict)
     """Outputs of the step, beside the verdict and the paths of the files; None becomes an empty text."""
     reasons: tuple[str, ...] = ()
     """Reasons of a failure, one line each, worst first: listed first, and annotated as errors."""
