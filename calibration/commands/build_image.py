@@ -10,10 +10,9 @@ import click
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.records import field, record
 from calibration.ci.image.build_request import BuildFailedError
-from calibration.ci.image.building import BuilderName, build_image
+from calibration.ci.image.building import REPORT_TITLE, BuilderName, BuildResult, Failure, build_image, report
 from calibration.ci.image.context import Context
 from calibration.ci.image.plan import add_recipe
-from calibration.ci.image.report import REPORT_TITLE, BuildResult, Failure, report
 from calibration.ci.image.specification import (
     ImageSpecification,
     OwnDockerfile,

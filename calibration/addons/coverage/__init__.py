@@ -6,9 +6,9 @@ Independent of calibration.
 - ``lines``: covered lines, branches and functions of a file;
 - ``tests``: the test command and its outcome; ``coverage_py``: coverage.py in the team's own Python, and its data;
 - ``formats``: reports of other tools (Cobertura, LCOV, gcov);
-- ``sources``, ``reading``: the commit and the files that coverage is of, and their coverage;
+- ``sources``, ``reading``: the commit, the files and functions that coverage is of, and their coverage;
 - ``codacy``: the service that receives it;
-- ``functions``, ``pseudo_tested``, ``workers``: functions that tests run and do not test;
+- ``pseudo_tested``, ``workers``: functions that tests run and do not test;
 - ``results``, ``report``: the verdict and its presentation.
 """
 

@@ -11,7 +11,6 @@ import click
 
 from calibration.addons.coverage.codacy import API_URL, Account, Codacy, Request, Upload, parse_account, parse_api_url
 from calibration.addons.coverage.coverage_py import plain, team_settings
-from calibration.addons.coverage.functions import PythonFunction, functions_of
 from calibration.addons.coverage.pseudo_tested import LOG_FILE, OVER_BUDGET, PseudoTestedResults, find_pseudo_tested
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.report import LCOV_FILE, TITLE, badge, report, what_is_left_out
@@ -23,7 +22,15 @@ from calibration.addons.coverage.results import (
     Uploaded,
     coverage_of_change,
 )
-from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, find_commit, find_sources, language_of
+from calibration.addons.coverage.sources import (
+    PYTHON_LANGUAGE,
+    PythonFunction,
+    Sources,
+    find_commit,
+    find_sources,
+    functions_of,
+    language_of,
+)
 from calibration.addons.coverage.tests import (
     CommandOfTests,
     Tests,

@@ -20,8 +20,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 from calibration.addons.coverage.coverage_py import INJECTED_FOLDER, plain
-from calibration.addons.coverage.functions import CACHES, PythonFunction
-from calibration.addons.coverage.sources import Sources
+from calibration.addons.coverage.sources import CACHES, PythonFunction, Sources
 from calibration.addons.coverage.tests import CommandOfTests
 from calibration.addons.coverage.workers import (
     JobOutcome,

@@ -18,9 +18,8 @@ from calibration.addons.coverage.formats import (
     parse_gcov,
     parse_lcov,
 )
-from calibration.addons.coverage.functions import functions_of
 from calibration.addons.coverage.lines import FileCoverage, combined
-from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, language_of
+from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, functions_of, language_of
 from calibration.base.errors import InputError
 from calibration.base.files import read_bytes
 from calibration.base.records import field, result

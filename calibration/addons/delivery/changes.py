@@ -15,7 +15,7 @@ from calibration.addons.delivery.manifest import BundledSystem, Manifest, Refuse
 from calibration.base.documents import parse_json
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.records import read
-from calibration.ci.workflow.markdown import escape_markdown, markdown_table
+from calibration.base.text import escape_markdown, markdown_table
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineComparison, compare
 from calibration.engine.baseline.quality import SameData

@@ -10,10 +10,10 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from calibration.base.errors import InputError
+from calibration.base.text import escape_markdown, markdown_table
 from calibration.ci.github.api import API_URL, GitHubApi, MissingError
 from calibration.ci.github.service import GitHubEvent
 from calibration.ci.report.results_json import Brief
-from calibration.ci.workflow.markdown import escape_markdown, markdown_table
 
 MAX_COMMENT_CHARACTERS = 65_536
 """GitHub's limit of characters in a comment."""

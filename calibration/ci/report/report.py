@@ -9,7 +9,7 @@ from typing import Any
 
 from calibration.base.errors import ExitCode, InfrastructureError
 from calibration.base.files import follow_no_links, write_atomically
-from calibration.base.text import one_line
+from calibration.base.text import escape_markdown, one_line
 from calibration.base.verdict import Verdict
 from calibration.ci.report.blocks import MOST_LINES, Block, Lines, Table, cut
 from calibration.ci.report.junit import Outcome, junit_xml
@@ -21,7 +21,6 @@ from calibration.ci.report.results_json import (
     results_document,
     results_text,
 )
-from calibration.ci.workflow.markdown import escape_markdown
 from calibration.ci.workflow.runner import (
     Annotation,
     Level,

@@ -23,15 +23,15 @@ from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Dataset, label_count
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_document
-from calibration.pipeline.collection.applications import (
+from calibration.pipeline.collection.report import report
+from calibration.pipeline.collection.request import (
     MOTION_PATH,
     PLAYER_PATH,
     REPORT_PATH,
+    CollectionRequest,
     collection_job,
     dataset_place,
 )
-from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
 from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet

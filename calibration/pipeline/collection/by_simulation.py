@@ -21,9 +21,8 @@ from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
-from calibration.pipeline.collection.applications import INPUT_FOLDER
 from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
+from calibration.pipeline.collection.request import INPUT_FOLDER, CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import (
     SCENARIO_FILE,

@@ -1,6 +1,6 @@
 import pytest
 
-from calibration.addons.coverage.functions import functions_of
+from calibration.addons.coverage.sources import functions_of
 
 SOURCE = b'''"""Module."""
 import functools

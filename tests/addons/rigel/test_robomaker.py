@@ -13,7 +13,7 @@ from calibration.addons.rigel.robomaker import region_of
 from calibration.base.errors import InputError
 from calibration.base.records import read
 from calibration.ci.execution.job_check import check_jobs
-from calibration.pipeline.collection.applications import collection_job
+from calibration.pipeline.collection.request import collection_job
 from calibration.pipeline.configuration import read_configuration
 
 from .conftest import noted

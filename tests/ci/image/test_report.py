@@ -3,8 +3,7 @@ import io
 import pytest
 
 from calibration.ci.github.service import GITHUB
-from calibration.ci.image.building import BuiltImage
-from calibration.ci.image.report import BuildResult, Failure, report
+from calibration.ci.image.building import BuildResult, BuiltImage, Failure, report
 from calibration.ci.report import Report
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.runner import TERMINAL

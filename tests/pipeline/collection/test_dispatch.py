@@ -13,7 +13,7 @@ import pytest
 
 from calibration.base.errors import ExitCode, InfrastructureError, InputError
 from calibration.base.files import write_atomically
-from calibration.ci.workflow.markdown import escape_markdown
+from calibration.base.text import escape_markdown
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, CollectionRequest

@@ -12,15 +12,16 @@ import pytest
 from calibration.base.errors import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
-from calibration.pipeline.collection.applications import (
+from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.request import (
     INPUT_FOLDER,
     MOTION_PATH,
     PLAYER_PATH,
     REPORT_PATH,
+    CollectionChecks,
+    CollectionRequest,
     collection_job,
 )
-from calibration.pipeline.collection.dispatch import collect_dataset
-from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.collection.applications import applications_from
 from tests.pipeline.targets import at

@@ -18,9 +18,8 @@ from calibration.base.records.schema import schema_of
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
-from calibration.pipeline.collection.applications import INPUT_FOLDER, Applications
 from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
-from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
+from calibration.pipeline.collection.request import INPUT_FOLDER, Applications, CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.scenarios import SCENARIO_FILE, ScenarioDone, ScenarioFile, ScenarioFolder
