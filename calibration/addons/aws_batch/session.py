@@ -286,13 +286,14 @@ class Aws:
             return self._clients[key]
 
     def _new_client(self, service: str, tries: int, region: str) -> Any:
+        own_endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
         config = Config(
             retries={"mode": "standard", "total_max_attempts": tries},
             connect_timeout=10,
             read_timeout=60,
             max_pool_connections=MAX_CONNECTIONS,
             tcp_keepalive=True,
-            s3={"addressing_style": "path" if _has_own_endpoint() else "auto"},
+            s3={"addressing_style": "path" if own_endpoint else "auto"},
         )
         with aws_errors(f"region {region}"):
             client: Any = self._boto_session.client(service, region_name=region, config=config)
@@ -351,7 +352,3 @@ def _token_of_github(url: str, secret: str) -> str:
     finally:
         http.close()
     return token
-
-
-def _has_own_endpoint() -> bool:
-    return bool(os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL"))

@@ -93,7 +93,8 @@ class Codacy:
             for language, files in languages.items()
         ]
         if upload.final or (partial and not upload.partial):
-            found.append(self._request_of("final request", self._final_path(upload.commit), b"{}"))
+            path = f"/2.0/{self._repository_path()}commit/{upload.commit}/coverageFinal"
+            found.append(self._request_of("final request", path, b"{}"))
         return found
 
     def send(self, requests: Sequence[Request]) -> None:
@@ -120,9 +121,6 @@ class Codacy:
     def _report_path(self, commit: str, language: str) -> str:
         place = f"commit/{commit}/coverage" if self.account.provider else f"coverage/{commit}"
         return f"/2.0/{self._repository_path()}{place}/{quote(language, safe='')}"
-
-    def _final_path(self, commit: str) -> str:
-        return f"/2.0/{self._repository_path()}commit/{commit}/coverageFinal"
 
     def _repository_path(self) -> str:
         parts = (self.account.provider, self.account.organisation, self.account.repository)

@@ -213,7 +213,7 @@ def _summary_rows(results: CoverageResults) -> list[tuple[str, str, str]]:
     if results.change is not None:
         rates.append(("lines of the change", results.change.rate))
         rates.append(("functions of the change", results.change.functions))
-    rows = [(name, _percent_text(rate), f"{rate.covered} of {rate.total}") for name, rate in rates]
+    rows = [(name, str(rate).partition(" (")[0], f"{rate.covered} of {rate.total}") for name, rate in rates]
     tally = results.tests.tally if results.tests is not None else None
     if tally is not None:
         skipped = f", {tally.skipped} skipped" if tally.skipped else ""
@@ -258,10 +258,6 @@ def _span_text(first: int, last: int) -> str:
 def _names_text(names: Sequence[str], most: int = MAX_NAMES) -> str:
     shown = ", ".join(shorten(one_line(name), 200) for name in names[:most])
     return f"{shown} and {len(names) - most} more" if len(names) > most else shown
-
-
-def _percent_text(rate: Rate) -> str:
-    return str(rate).partition(" (")[0]
 
 
 def badge(lines: Rate, goal: float) -> str:

@@ -17,7 +17,7 @@ from calibration.base.errors import CalibrationError, InputError
 from calibration.base.records import read
 from calibration.base.text import escape_markdown, markdown_table
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.comparison import BaselineComparison, compare
+from calibration.engine.baseline.comparison import compare
 from calibration.engine.baseline.quality import SameData
 from calibration.engine.baseline.verdict import exceeds, size_of_change
 from calibration.pipeline.stages.exporting import CALIBRATION_FILE, ExportedCalibration
@@ -161,13 +161,8 @@ def _changes_of_system(
             yield Change(f"{now.name}: {change.name}", f"{size_of_change(change)}, on the same data", "minor")
         elif not comparison.same_data and change.p < comparison.significance:
             yield Change(f"{now.name}: {change.name}", size_of_change(change), "minor")
-        elif _may_have_changed(comparison):
+        elif not comparison.same_data or comparison.other_inputs:  # more than the rounding of another machine
             yield Change(f"{now.name}: {change.name}", f"within its error bars: {size_of_change(change)}", "patch")
-
-
-def _may_have_changed(comparison: BaselineComparison) -> bool:
-    """Whether a difference is more than the rounding of another machine."""
-    return not comparison.same_data or bool(comparison.other_inputs)
 
 
 def _differs_beside_numbers(before: Manifest, now: Manifest) -> bool:

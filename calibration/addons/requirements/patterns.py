@@ -53,10 +53,6 @@ class _Kept:
         while self.messages and self.messages[0].time < time:
             self._bytes -= self.messages.popleft().size + _BYTES_OF_A_MESSAGE
 
-    def only(self, message: Message) -> None:
-        """Keep one message only."""
-        self.keep([message])
-
 
 class _Pattern:
     """What must hold in each interval of the scope; it is stopped and started again with the scope."""
@@ -83,6 +79,13 @@ class _Pattern:
     def limit(self) -> str:
         """Return the time limit as text."""
         return "" if self.within is None else f" within {duration(self.within)}"
+
+    def leave_open(self, what: str, messages: tuple[Message, ...], since: int, end: int) -> None:
+        """Note what is open at the end of the bag: a violation, unless its time since a moment is not over."""
+        if self.within is not None and since + self.within > end:
+            self.unanswered = (what, messages)
+        else:
+            self.violation = (what, messages)
 
     def reset(self) -> None:
         """Forget the messages of the last interval."""
@@ -119,13 +122,8 @@ class _Existence(_Pattern):
             self.violation = ("no such message until the scope ended", (*self.scope, terminator))
 
     def finish(self, end: int) -> None:
-        if not self.waits:
-            return
-        what = ("no such message until the bag ended", self.scope)
-        if self.within is not None and self.begin + self.within > end:
-            self.unanswered = what
-        else:
-            self.violation = what
+        if self.waits:
+            self.leave_open("no such message until the bag ended", self.scope, self.begin, end)
 
 
 class _Absence(_Pattern):
@@ -148,6 +146,8 @@ class _OfTwoEvents(_Pattern):
         if found.trigger is None:
             raise AssertionError("the library refuses such a pattern without a trigger")
         self.trigger = found.trigger
+        self.reads_trigger = self.behaviour.reads(self.trigger.aliases)
+        self.reads_behaviour = self.trigger.reads(self.behaviour.aliases)
         self.kept = _Kept()
 
     def reset(self) -> None:
@@ -155,10 +155,6 @@ class _OfTwoEvents(_Pattern):
 
 
 class _Response(_OfTwoEvents):
-    def __init__(self, found: Property) -> None:
-        super().__init__(found)
-        self.reads_trigger = self.behaviour.reads(self.trigger.aliases)
-
     def pass_time(self, time: int) -> None:
         if self.kept.messages and self.is_late(time, self.kept.messages[0].time):
             self.violation = (f"no answer{self.limit()}", (self.kept.messages[0],))
@@ -182,21 +178,12 @@ class _Response(_OfTwoEvents):
             self.violation = ("no answer until the scope ended", (self.kept.messages[0], terminator))
 
     def finish(self, end: int) -> None:
-        if not self.kept.messages:
-            return
-        first = self.kept.messages[0]
-        what = ("no answer until the bag ended", (first,))
-        if self.within is not None and first.time + self.within > end:
-            self.unanswered = what
-        else:
-            self.violation = what
+        if self.kept.messages:
+            first = self.kept.messages[0]
+            self.leave_open("no answer until the bag ended", (first,), first.time, end)
 
 
 class _Requirement(_OfTwoEvents):
-    def __init__(self, found: Property) -> None:
-        super().__init__(found)
-        self.reads_behaviour = self.trigger.reads(self.behaviour.aliases)
-
     def take(self, message: Message, known: dict[str, Any]) -> None:
         if self.within is not None:
             self.kept.drop_before(message.time - self.within)
@@ -210,14 +197,10 @@ class _Requirement(_OfTwoEvents):
             if message.topic in self.trigger.simple:
                 self.kept.add(message)
         elif self.trigger.matches(message, known):
-            self.kept.only(message)
+            self.kept.keep([message])
 
 
 class _Prevention(_OfTwoEvents):
-    def __init__(self, found: Property) -> None:
-        super().__init__(found)
-        self.reads_trigger = self.behaviour.reads(self.trigger.aliases)
-
     def take(self, message: Message, known: dict[str, Any]) -> None:
         if self.within is not None:
             self.kept.drop_before(message.time - self.within)
@@ -231,7 +214,7 @@ class _Prevention(_OfTwoEvents):
             if self.reads_trigger:
                 self.kept.add(message)
             else:
-                self.kept.only(message)
+                self.kept.keep([message])
 
 
 _PATTERNS: dict[str, type[_Pattern]] = {

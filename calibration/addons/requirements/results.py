@@ -83,6 +83,7 @@ def report(results: MessageResults, requirements: Sequence[Requirement], config:
     """
     lines = [_line_of_requirement(each, config) for each in requirements]
     judged = list(zip(results.requirements, lines, strict=True))
+    worst_first = sorted(results.requirements, key=lambda each: ("not met", "vacuous", "met").index(each.status))
     return Report(
         title="Requirements over messages",
         verdict=verdict_of(not results.not_met),
@@ -99,7 +100,7 @@ def report(results: MessageResults, requirements: Sequence[Requirement], config:
         blocks=(
             Table(
                 ("requirement", "status", "expected", "found", "at"),
-                tuple(_row(each) for each in _worst_first(results.requirements)),
+                tuple(_row(each) for each in worst_first),
                 MAX_ROWS_SHOWN,
             ),
         ),
@@ -115,10 +116,6 @@ def report(results: MessageResults, requirements: Sequence[Requirement], config:
 def annotations_of(report: Report) -> tuple[Annotation, ...]:
     """Return the annotations of a stage: warnings, and failures at their lines; the run lists the others itself."""
     return tuple(each for each in report.all_annotations() if each.level is not Level.ERROR or each.line is not None)
-
-
-def _worst_first(judgements: Sequence[Judgement]) -> list[Judgement]:
-    return sorted(judgements, key=lambda each: ("not met", "vacuous", "met").index(each.status))
 
 
 def _row(each: Judgement) -> tuple[str, ...]:

@@ -270,7 +270,8 @@ class RegistryClient:
         base = f"{'http' if insecure else 'https'}://{host}/v2/{reference.repository}/"
         url = urljoin(base, path)
         if urlsplit(url)[:2] != urlsplit(base)[:2]:
-            raise InfrastructureError(f"{reference}: the registry names {_without_query(url)} for a layer, not itself")
+            named = shorten(one_line(url.partition("?")[0]), 200)
+            raise InfrastructureError(f"{reference}: the registry names {named} for a layer, not itself")
         credentials = None if own is None or own.anonymous else own
         writes = method in ("PUT", "POST")
         key = (reference.registry, reference.repository, writes)
@@ -332,10 +333,6 @@ def _error_messages(body: bytes) -> str:
         return "; ".join(f"{error['code']}: {error.get('message') or ''}" for error in json.loads(body)["errors"][:3])
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         return ""
-
-
-def _without_query(url: str) -> str:
-    return shorten(one_line(url.partition("?")[0]), 200)
 
 
 def _as_reference(reference: Reference | str) -> Reference:

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Protocol
 
 from calibration.base.errors import InputError
@@ -183,7 +183,7 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
             after bad input, which the same command would find again.
     """
     finished = 0
-    with _show_progress(runner, title, bar) as show:
+    with _show_bar(runner, title) if bar and runner.on_terminal else _show_lines(runner) as show:
 
         def advance(done: int, total: int, line: str, *, important: bool = False) -> None:
             nonlocal finished
@@ -198,10 +198,6 @@ def progress(runner: Runner, title: str, bar: bool = True, kept: str = "") -> It
             if kept and finished:
                 runner.log(f"{finished} {kept} are done: the same command goes on from there")
             raise
-
-
-def _show_progress(runner: Runner, title: str, bar: bool) -> AbstractContextManager[Advance]:
-    return _show_bar(runner, title) if bar and runner.on_terminal else _show_lines(runner)
 
 
 @contextmanager

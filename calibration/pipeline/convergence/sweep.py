@@ -149,17 +149,15 @@ def _of_the_same_optimum(cells: Sequence[CellResult], systems: Sequence[System])
         if cell.verdict != "fail" and cell.rms_px is not None:
             key = (cell.system, cell.method)
             best[key] = min(cell.rms_px, best.get(key, cell.rms_px))
+    # The calibrated dataset of the team's software is verified already: it has been compared with the optimum.
     return [
         _compare_with_best(cell, best.get((cell.system, cell.method)))
-        if cell.system in unjudged and cell.verdict != "fail" and not _is_verified(cell)
+        if cell.system in unjudged
+        and cell.verdict != "fail"
+        and not (cell.method == SOFTWARE_METHOD and cell.dataset is not None)
         else cell
         for cell in cells
     ]
-
-
-def _is_verified(cell: CellResult) -> bool:
-    """Whether the calibrated dataset of the team's software has been compared with the optimum."""
-    return cell.method == SOFTWARE_METHOD and cell.dataset is not None
 
 
 def _compare_with_best(cell: CellResult, best: float | None) -> CellResult:

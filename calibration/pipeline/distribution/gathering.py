@@ -1,6 +1,6 @@
 """Collection of the results of a workflow's jobs, as one set with one verdict."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -91,7 +91,8 @@ def gather(needs: Needs, plan: WorkflowPlan | None, folder: Path) -> Gathered:
     of_stages = {job: found for job in plan.stages if (found := _stage_result(job, folder)) is not None}
     results = PipelineResults(
         tuple(cell for part in parts for cell in part.cells),
-        _each_once(other for part in parts for other in part.comparisons),
+        # those without an initial guess are in every job of their system
+        tuple({(each.start_of_cell, each.method): each for part in parts for each in part.comparisons}.values()),
         collected.collections,
         collected.image,
         next((part.baseline for part in parts if part.baseline is not None), None),
@@ -213,11 +214,6 @@ def _stage_result(job: str, folder: Path) -> StageResult | None:
     """Return the result of the stage that a job has run; None if it has left none."""
     found: Any = getattr(_read_results(folder / job).of_stages, STAGE_OF_JOB[job].section)
     return None if found is None else replace(found, folder=f"{job}/{found.folder}")
-
-
-def _each_once(comparisons: Iterable[CellResult]) -> tuple[CellResult, ...]:
-    """Return the comparisons; those without an initial guess are in every job of their system, but only one is kept."""
-    return tuple({(cell.start_of_cell, cell.method): cell for cell in comparisons}.values())
 
 
 def _read_results(folder: Path) -> PipelineResults:

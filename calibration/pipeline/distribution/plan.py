@@ -15,7 +15,6 @@ from calibration.base.records import between, field, record
 from calibration.base.text import did_you_mean, number_text
 from calibration.ci.execution.backends import Sections
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import PipelineConfiguration
 from calibration.pipeline.matrix.cell_result import Cell
 from calibration.pipeline.system import NoiseGrid, System
@@ -215,7 +214,7 @@ def plan_jobs(
     if built is not None and section is None:
         raise InputError(f"command: the system '{built.system}' has no image to run it in: add the input image")
     push = section is not None and section.push and inputs.push
-    in_image = any(map(_runs_in_built_image, collected))
+    in_image = any(not container.image for each in collected for container in each.applications.containers)
     stages = [job for job in stages if job in wanted]
     tests_in_image = section is not None and any(STAGE_OF_JOB[job].needs_image for job in stages)
     image = push and (built is not None or in_image or tests_in_image)
@@ -234,10 +233,6 @@ def plan_jobs(
         stages=tuple(stages),
         tests_in_image=tests_in_image,
     )
-
-
-def _runs_in_built_image(simulation: CollectionRequest) -> bool:
-    return any(not container.image for container in simulation.applications.containers)
 
 
 def _wanted_jobs(

@@ -37,16 +37,12 @@ def ended_neighbours(variables: Mapping[str, str]) -> dict[str, int | None]:
         with urlopen(f"{address}/task", timeout=_METADATA_TIMEOUT) as answer:  # noqa: S310 (checked above)
             containers = json.loads(answer.read(_MAX_METADATA_BYTES))["Containers"]
         return {
-            str(each["Name"]): _exit_code_of(each.get("ExitCode"))
+            str(each["Name"]): code if isinstance(code := each.get("ExitCode"), int) else None
             for each in containers
             if each.get("KnownStatus") == "STOPPED"
         }
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return {}
-
-
-def _exit_code_of(value: object) -> int | None:
-    return value if isinstance(value, int) else None
 
 
 _CHUNK_BYTES = 1024**2

@@ -70,7 +70,8 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
         InfrastructureError: an object cannot be removed (the others have been), or the engine does not answer.
     """
     removed, problems = [], []
-    for leftover in _in_order(leftovers):
+    # containers first: networks and volumes in use cannot be removed
+    for leftover in sorted(leftovers, key=lambda leftover: leftover.kind):
         with engine_errors():
             try:
                 _remove_leftover(api, leftover)
@@ -104,11 +105,6 @@ def counts_of(leftovers: Iterable[Leftover]) -> str:
     kinds = [leftover.kind for leftover in leftovers]
     counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
     return ", ".join(counts) or "nothing"
-
-
-def _in_order(leftovers: Iterable[Leftover]) -> list[Leftover]:
-    """Sort containers first: networks and volumes in use cannot be removed."""
-    return sorted(leftovers, key=lambda leftover: leftover.kind)
 
 
 def _remove_leftover(api: "APIClient", leftover: Leftover) -> None:
