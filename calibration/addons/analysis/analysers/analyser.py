@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
 
 from calibration.addons.analysis.copies import Copy
@@ -149,12 +149,14 @@ class Analyser(ABC):
     """Limit of the number of files per process."""
     whole: ClassVar[bool] = False
     """Whether it compares files with each other, so that a change of one makes findings in others."""
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    """Suffixes of its files, in small letters."""
     settings: ClassVar[tuple[str, ...]] = ()
     """Names of files with the team's settings for it."""
 
-    @abstractmethod
     def wants(self, path: str, copy: Copy) -> bool:
-        """Whether it analyses a file."""
+        """Whether it analyses a file: by default one of its suffixes."""
+        return PurePosixPath(path).suffix.lower() in self.suffixes
 
     @abstractmethod
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:

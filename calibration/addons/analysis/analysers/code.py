@@ -36,10 +36,7 @@ class Cppcheck(ProgramAnalyser):
 
     name = "cppcheck"
     at_once = 20
-
-    def wants(self, path: str, copy: Copy) -> bool:
-        """Select C and C++ files by suffix."""
-        return PurePosixPath(path).suffix.lower() in CPP_SUFFIXES
+    suffixes = CPP_SUFFIXES
 
     def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
         """Yield the command."""
@@ -65,10 +62,7 @@ class Lizard(ProgramAnalyser):
     """Cyclomatic complexity of functions."""
 
     name = "lizard"
-
-    def wants(self, path: str, copy: Copy) -> bool:
-        """Select Python, C and C++ files by suffix."""
-        return PurePosixPath(path).suffix.lower() in (*CPP_SUFFIXES, ".py")
+    suffixes = (*CPP_SUFFIXES, ".py")
 
     def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
         """Yield the command."""

@@ -65,17 +65,11 @@ def _is_mapping(text: str) -> bool:
         return False
 
 
-_XML_SUFFIXES = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
-
-
 class XmlFiles(Analyser):
     """Validity of XML, by a parser that refuses entities; runs no program."""
 
     name = "xml"
-
-    def wants(self, path: str, copy: Copy) -> bool:
-        """Select XML files by suffix."""
-        return path.endswith(_XML_SUFFIXES)
+    suffixes = (".xml", ".launch", ".urdf", ".xacro", ".sdf", ".srdf")
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Parse each file."""
@@ -140,10 +134,7 @@ class Urdf(Analyser):
     """Links, joints, limits and inertias of URDF; xacro is not expanded, so it is not checked."""
 
     name = "urdf"
-
-    def wants(self, path: str, copy: Copy) -> bool:
-        """Select URDF files by suffix."""
-        return path.endswith(".urdf")
+    suffixes = (".urdf",)
 
     def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
         """Check each file; invalid XML is reported by the analyser xml."""
