@@ -16,10 +16,9 @@ from calibration.addons.aws_batch.session import Aws
 from calibration.addons.aws_batch.settings import AWS_BATCH, BatchSettings
 from calibration.addons.aws_batch.store import CloudRun, Store
 from calibration.addons.aws_batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
-from calibration.addons.aws_batch.wire import check_run_name
 from calibration.base.errors import InputError
 from calibration.ci.execution.backends import ExecutionTarget, Left, Leftovers, read_sections
-from calibration.ci.execution.docker.labels import Owner, new_run
+from calibration.ci.execution.docker.labels import Owner, check_run_name, new_run
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
@@ -91,9 +90,7 @@ class BatchBackend:
                 or not accessible.
             InfrastructureError: AWS cannot be reached.
         """
-        check_jobs(jobs)
-        if workers is not None and workers < 1:
-            raise InputError(f"jobs: found {workers}, expected at least 1")
+        check_jobs(jobs, workers)
         check_for_batch(jobs, self._settings)
         store = Store(self.aws, self._settings.bucket)
         needs = {total_size(shape_of(job, self._settings), self._settings.platform) for job in jobs}

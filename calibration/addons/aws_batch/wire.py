@@ -16,7 +16,6 @@ neither names nor values of secret variables, which AWS Batch sets in the contai
 """
 
 import json
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
@@ -49,18 +48,6 @@ REGION_VARIABLE = "AWS_REGION"
 """Region of the bucket, set on submission, because ECS sets it only on Fargate."""
 INDEX_VARIABLE, ATTEMPT_VARIABLE = "AWS_BATCH_JOB_ARRAY_INDEX", "AWS_BATCH_JOB_ATTEMPT"
 """Variables that Batch sets: index of the child (only in arrays), and of the attempt, from 1."""
-
-_RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
-
-
-def check_run_name(name: str) -> None:
-    """Refuse a name of a run that is invalid in keys and other names.
-
-    Raises:
-        InputError: it is invalid.
-    """
-    if not _RUN_NAME.fullmatch(name):
-        raise InputError(f"run '{name}': expected letters, digits, _ . and -, at most 61")
 
 
 @dataclass(frozen=True)

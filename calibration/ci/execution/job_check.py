@@ -19,8 +19,8 @@ _LEAST_MEMORY = 6 * 1024**2
 _MOST_CONTAINERS = 100
 
 
-def check_jobs(jobs: Sequence[Job]) -> None:
-    """Refuse invalid jobs of a run, and jobs whose folders are equal or nested.
+def check_jobs(jobs: Sequence[Job], workers: int | None = None) -> None:
+    """Refuse invalid jobs of a run, jobs whose folders are equal or nested, and a number of workers below one.
 
     Raises:
         InputError: the message names the job, the container and the problem.
@@ -37,6 +37,8 @@ def check_jobs(jobs: Sequence[Job]) -> None:
         for count in range(1, len(parts)):
             if (outer := "/".join(parts[:count])) in names:
                 raise InputError(f"job '{written}': its folder would lie in that of job '{names[outer]}': rename one")
+    if workers is not None and workers < 1:
+        raise InputError(f"jobs: found {workers}, expected at least 1")
 
 
 def check_job(job: Job) -> None:

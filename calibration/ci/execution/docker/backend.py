@@ -3,7 +3,6 @@
 Jobs start in order, as soon as the machine has free resources.
 """
 
-import re
 import threading
 import time
 from collections.abc import Generator, Sequence
@@ -14,11 +13,11 @@ from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Self
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base.errors import CalibrationError, InfrastructureError
 from calibration.ci.docker_engine import EngineLostError, engine_errors, find_engine, find_images, lost
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
-from calibration.ci.execution.docker.labels import RUN_LABEL, Owner, new_run
+from calibration.ci.execution.docker.labels import RUN_LABEL, Owner, check_run_name, new_run
 from calibration.ci.execution.docker.leftovers import counts_of, find_leftovers, remove, remove_of_dead_runs
 from calibration.ci.execution.docker.networks import Networks
 from calibration.ci.execution.job import Job
@@ -102,7 +101,6 @@ class Admission:
         )
 
 
-_RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
 _MOST_THREADS = 64
 _POLL_SECONDS = 5
 """Interval of checks whether the engine still answers, seconds."""
@@ -139,8 +137,7 @@ class DockerBackend:
             InputError: the name is invalid in names of containers.
         """
         self.run_name = run if run is not None else new_run()
-        if not _RUN_NAME.fullmatch(self.run_name):
-            raise InputError(f"run '{self.run_name}': expected letters, digits, _ . and -, at most 61")
+        check_run_name(self.run_name)
         self._show = show
         self._watch = watch
         self._labels = {RUN_LABEL: self.run_name, **Owner.this_process().labels}
@@ -205,9 +202,7 @@ class DockerBackend:
             InputError: a job is invalid, or an image is missing.
             InfrastructureError: the engine or a registry cannot be reached.
         """
-        check_jobs(jobs)
-        if workers is not None and workers < 1:
-            raise InputError(f"jobs: found {workers}, expected at least 1")
+        check_jobs(jobs, workers)
         images = find_images(self._client.api, (c.image for job in jobs for c in job.containers))
         run = Run(
             name=self.run_name,

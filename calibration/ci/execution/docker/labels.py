@@ -1,16 +1,32 @@
 """Unique names of runs and of what they create, and labels of run and process, to find what dead processes left."""
 
 import os
+import re
 import socket
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
+from calibration.base.errors import InputError
+
 
 def new_run() -> str:
     """Return a unique name for a run."""
     return os.urandom(4).hex()
+
+
+_RUN_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,60}")
+
+
+def check_run_name(name: str) -> None:
+    """Refuse a name of a run that is invalid in keys and other names.
+
+    Raises:
+        InputError: it is invalid.
+    """
+    if not _RUN_NAME.fullmatch(name):
+        raise InputError(f"run '{name}': expected letters, digits, _ . and -, at most 61")
 
 
 LABEL_PREFIX = "ci.calibration."
