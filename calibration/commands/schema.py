@@ -42,7 +42,7 @@ SHIPPED_SCHEMAS = {
     "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.report:LookResults", "look"),
     "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": SchemaFile(_SCENARIOS_PACKAGE, "scenario_set.schema.json", "scenario_set:ScenarioSetFile"),
-    "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "report:BuildResult", "build-image"),
+    "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "building:BuildResult", "build-image"),
     "introspection": SchemaFile("calibration.base.tables", _RESULTS_FILE, "table_verdict:Results", "introspect-csv"),
     **of_addons(lambda addon: addon.schemas),
 }
