@@ -180,7 +180,7 @@ def run(case: Case) -> Outcome:
         rms_red=rms_red,
         nees=tuple(_nees(case, scene)) if case.kind == CLEAN.name else (),
         seconds=seconds,
-        invisible=calibration is not None and fits_as_well(case, calibration.cost),
+        invisible=calibration is not None and fits_as_well(case, scene),
     )
 
 
@@ -192,15 +192,19 @@ def colour_of(result: CellResult) -> Colour:
     return "undecided" if undecided else "green"
 
 
-def fits_as_well(case: Case, cost: float) -> bool:
+def fits_as_well(case: Case, scene: Scene) -> bool:
     """Whether an arm that is not as it is described costs what the described one would, with the same noise."""
-    return case.planted.group == "arm" and abs(cost - _clean_cost(case.stratum, case.system, case.seed)) < AS_WELL
+    if case.planted.group != "arm":
+        return False
+    found = _calibrated_clean(case.stratum, case.system, case.seed)
+    options = replace(scene.system.options, noise_levels=found.noise_levels)
+    return calibrate(scene.told, options).cost - found.cost < AS_WELL
 
 
 @cache
-def _clean_cost(stratum: Stratum, system: str, seed: int) -> float:
+def _calibrated_clean(stratum: Stratum, system: str, seed: int) -> Calibration:
     scene = clean(stratum, system, seed)
-    return calibrate(scene.told, scene.system.options).cost
+    return calibrate(scene.told, scene.system.options)
 
 
 def judged(scene: Scene) -> tuple[CellResult, bool, Calibration | None]:

@@ -1,7 +1,8 @@
 """Cameras whose intrinsics, or whose images, are not what the user has."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, fields, replace
+from functools import partial
 
 import numpy as np
 
@@ -126,8 +127,35 @@ PixelChange = Callable[[Array, Camera, int], Array]
 """From pixels (K, 2), the intrinsics and the collection's index to other pixels."""
 
 
+@dataclass(frozen=True)
+class MappedCamera(Camera):
+    """A camera whose images are mapped, at work too."""
+
+    change: Callable[[Array], Array] = np.asarray
+
+    def project(self, points: Array) -> Array:
+        """Pixels (..., 2) of points (..., 3) in the mapped image."""
+        pixels = super().project(points)
+        return self.change(pixels.reshape(-1, 2)).reshape(pixels.shape)
+
+
+def _lasting(scene: Scene, sensors: list[str], change: PixelChange) -> Scene:
+    """The scene with the pixels of some cameras put elsewhere, for good: at work as in the last image."""
+    last, cameras = len(scene.told.collections) - 1, {}
+    for name in sensors:
+        camera, told = scene.world.sensors[name].camera, camera_of(scene, name)
+        assert camera
+        own = {each.name: getattr(camera, each.name) for each in fields(camera)}
+        cameras[name] = MappedCamera(**own, change=partial(_mapped_as, change, told, last))
+    return mapped(replace(scene, world=scene.world.with_cameras(cameras)), sensors, change)
+
+
+def _mapped_as(change: PixelChange, camera: Camera, collection: int, pixels: Array) -> Array:
+    return change(pixels, camera, collection)
+
+
 def mapped(scene: Scene, sensors: list[str], change: PixelChange) -> Scene:
-    """The scene with the pixels of some cameras put elsewhere."""
+    """The scene with the pixels of some cameras put elsewhere, in each image in another way."""
 
     def moved(i: int, sensor: str, labels: Labels) -> Labels:
         if sensor not in sensors or not isinstance(labels, CornerLabels):
@@ -140,22 +168,22 @@ def mapped(scene: Scene, sensors: list[str], change: PixelChange) -> Scene:
 def skew(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """Pixel columns that are not upright."""
     shear = np.array([[1.0, size], [0.0, 1.0]])
-    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, c, _: (uv - (c.cx, c.cy)) @ shear.T + (c.cx, c.cy))
+    return _lasting(scene, [one_of(scene.cameras, rng)], lambda uv, c, _: (uv - (c.cx, c.cy)) @ shear.T + (c.cx, c.cy))
 
 
 def half_pixel(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """Another convention of pixel centres."""
-    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, __: uv + size)
+    return _lasting(scene, [one_of(scene.cameras, rng)], lambda uv, _, __: uv + size)
 
 
 def scaled_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """Images of another resolution than camera_info's."""
-    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, __: (uv + 0.5) * size - 0.5)
+    return _lasting(scene, [one_of(scene.cameras, rng)], lambda uv, _, __: (uv + 0.5) * size - 0.5)
 
 
 def cropped_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """Images that lack a border which camera_info has."""
-    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, __: uv - (size, 0.6 * size))
+    return _lasting(scene, [one_of(scene.cameras, rng)], lambda uv, _, __: uv - (size, 0.6 * size))
 
 
 def mirrored_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
@@ -176,7 +204,7 @@ def focal_drift(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
         centre = (camera.cx, camera.cy)
         return (uv - centre) * (1 + size * (i / last - 0.5)) + centre
 
-    return mapped(scene, [one_of(scene.cameras, rng)], grown)
+    return _lasting(scene, [one_of(scene.cameras, rng)], grown)
 
 
 def pixel_noise(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
@@ -203,14 +231,14 @@ def zoom(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
         centre = (camera.cx, camera.cy)
         return (uv - centre) * (1 + size) + centre if i >= first else uv
 
-    return mapped(scene, [one_of(scene.cameras, rng)], zoomed)
+    return _lasting(scene, [one_of(scene.cameras, rng)], zoomed)
 
 
 def principal_drift(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """A lens that sinks in its barrel, px from the first collection to the last."""
     angle, last = rng.uniform(0, 2 * np.pi), max(1, len(scene.told.collections) - 1)
     way = size * np.array([np.cos(angle), np.sin(angle)])
-    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: uv + way * (i / last))
+    return _lasting(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: uv + way * (i / last))
 
 
 def stabilised_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
@@ -234,7 +262,7 @@ def windscreen(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
         waves = 3 * np.pi * v / camera.height + u0, 3 * np.pi * u / camera.width + v0
         return uv + size * np.sin(np.stack(waves, 1))
 
-    return mapped(scene, [one_of(scene.cameras, rng)], bent)
+    return _lasting(scene, [one_of(scene.cameras, rng)], bent)
 
 
 def quantised(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
@@ -262,7 +290,7 @@ def binned(scene: Scene, way: float, rng: np.random.Generator) -> Scene:
         width=camera.width // 2, height=camera.height // 2,
     )  # fmt: skip
     if way != 2:
-        scene = mapped(scene, [name], lambda uv, _, __: (uv + 0.5) * half - 0.5)
+        scene = _lasting(scene, [name], lambda uv, _, __: (uv + 0.5) * half - 0.5)
     return scene if way == 1 else _told(scene, name, binned_camera)
 
 

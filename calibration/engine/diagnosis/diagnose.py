@@ -13,7 +13,7 @@ from calibration.engine.diagnosis.precision import camera_info, precision, too_f
 from calibration.engine.diagnosis.projection import of_cameras_alone, projection
 from calibration.engine.diagnosis.rejected_labels import rejected_labels, wrong_views
 from calibration.engine.diagnosis.residuals import residuals
-from calibration.engine.diagnosis.robot_tasks import undecided_tasks
+from calibration.engine.diagnosis.robot_tasks import unsure_tasks
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
@@ -116,7 +116,7 @@ CHECKS = (
     Check(_residuals_of_cameras_alone),
     Check(lambda judged: too_few(judged.calibration), with_truth=False),
     Check(lambda judged: precision(judged.calibration, judged.limits, judged.found), with_truth=False),
-    Check(lambda judged: undecided_tasks(judged.tasks, judged.found)),
+    Check(lambda judged: unsure_tasks(judged.tasks, judged.found)),
     Check(lambda judged: projection(judged.calibration, judged.limits)),
     Check(
         lambda judged: far_from_description(judged.calibration, judged.description, judged.options),

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.diagnosis.finding import Finding
-from calibration.engine.diagnosis.precision import ADVICE_TO_ADD, ADVICE_TO_MEND
-from calibration.engine.estimation.covariance.error_bars import SourceKind
+from calibration.engine.diagnosis.finding import Finding, Severity
+from calibration.engine.diagnosis.precision import ADVICE_ON_CONTRADICTIONS, ADVICE_TO_ADD, ADVICE_TO_MEND
+from calibration.engine.estimation.covariance.error_bars import ErrorSource, SourceKind
 from calibration.engine.tasks.gaussian_norm import quantile_of_norm
 from calibration.engine.tasks.task_errors import MOST, TaskError
 
@@ -49,23 +49,18 @@ class AtTask:
         return f"it makes {self.size:.3g} {task.unit} at task '{task.name}'{limit}"
 
 
-def worst_at_tasks(tasks: Sequence[TaskError], changes: Sequence[Array], errors: Sequence[Array] = ()) -> AtTask:
-    """Return what changes (C,) of the parameters, each by itself, do to the task that they harm most.
+def worst_at_tasks(tasks: Sequence[TaskError], change: Array, errors: Array | None = None) -> AtTask:
+    """Return what a change (C,) of the parameters does to the task that it harms most.
 
     Args:
         tasks: the tasks.
-        changes: the changes.
-        errors: (C, r) of each, independent ones.
+        change: the change.
+        errors: (C, r) of it, independent ones, if they are known.
     """
-    each = [AtTask(task, max(task.largest_change(change) for change in changes)) for task in tasks]
-    sure = [
-        AtTask(task, max(task.largest_change(change, error) for change, error in zip(changes, errors, strict=True)))
-        for task in tasks
-        if errors
-    ]
-    worst = max(each, key=_share_of_limit, default=AtTask())
+    each = [AtTask(task, task.largest_change(change)) for task in tasks]
+    sure = each if errors is None else [AtTask(task, task.largest_change(change, errors)) for task in tasks]
     over, broken = (tuple(a.error.task.name for a in of if a.error and _share_of_limit(a) > 1) for of in (each, sure))
-    broken = broken if errors else over
+    worst = max(each, key=_share_of_limit, default=AtTask())
     return replace(worst, broken=broken, undecided=tuple(name for name in over if name not in broken))
 
 
@@ -74,8 +69,11 @@ def _share_of_limit(found: AtTask) -> float:
     return 0.0 if limit is None else found.size / limit
 
 
-def undecided_tasks(tasks: Sequence[TaskError], found: Sequence[Finding]) -> tuple[Finding, ...]:
+def unsure_tasks(tasks: Sequence[TaskError], found: Sequence[Finding]) -> tuple[Finding, ...]:
     """Report tasks whose error at the worst point may be beyond their limit; nothing where a failure is reported.
+
+    It is undecided; a failure where the labels of a sensor are noisier than any good ones, and their disagreement does
+    it.
 
     Args:
         tasks: errors of the tasks.
@@ -83,26 +81,38 @@ def undecided_tasks(tasks: Sequence[TaskError], found: Sequence[Finding]) -> tup
     """
     if any(each.severity == "red" and each.kind in ("suspect", "contradiction") for each in found):
         return ()
-    return tuple(
-        Finding(
-            "task",
-            "undecided",
-            _describe_undecided(each, limit, found),
-            value=size,
-            unit=each.task.unit,
-            tasks=(each.task.name,),
-        )
-        for each in tasks
-        if (limit := each.task.limit) is not None and (size := float(each.most[each.worst])) > limit
-    )
+    noisy, findings = any(each.kind == "noisy-sensor" for each in found), list[Finding]()
+    for error in tasks:
+        limit, size, unit = error.task.limit, float(error.most[error.worst]), error.task.unit
+        if limit is None or size <= limit:
+            continue
+        is_broken = noisy and breaks_by_disagreement(error)
+        severity: Severity = "red" if is_broken else "undecided"
+        text = _describe_unsure(error, limit, found, is_broken)
+        findings.append(Finding("task", severity, text, value=size, unit=unit, tasks=(error.task.name,)))
+    return tuple(findings)
 
 
-def _describe_undecided(error: TaskError, limit: float, found: Sequence[Finding]) -> str:
+def breaks_by_disagreement(error: TaskError) -> bool:
+    """Return whether a limit would hold at the worst point if the collections agreed, and does not as they are.
+
+    What makes them disagree, where that is certain, may be off alike in all of them: a lag, a rolling shutter, a lens
+    beyond its model. Their scatter tells the least of it.
+    """
+    limit = error.task.limit
+    if limit is None or error.most[error.worst] <= limit:
+        return False
+    return size_of(error, [each for each in error.sources if each.kind != "collections"]) <= limit
+
+
+def _describe_unsure(error: TaskError, limit: float, found: Sequence[Finding], is_broken: bool) -> str:
     parts, unit = error.parts(), error.task.unit
     whole = float(np.sqrt(sum(part**2 for part in parts.values())))
     named = [f"{IN_WORDS[kind]} {part:.2g} {unit}" for kind, part in parts.items() if part > MIN_NAMED_PART * whole]
     if any(each.kind == "suspect" for each in found):
         remedy = ADVICE_TO_MEND
+    elif is_broken:
+        remedy = ADVICE_ON_CONTRADICTIONS
     elif held_alone(error) > limit:
         what = next(IN_WORDS[kind] for kind in parts if kind not in BY_RECORDING)
         remedy = (
@@ -120,10 +130,14 @@ def _describe_undecided(error: TaskError, limit: float, found: Sequence[Finding]
 
 def held_alone(error: TaskError) -> float:
     """Return the 95 % error at the worst point if nothing but what is held erred."""
-    columns = [each.columns for each in error.sources if each.kind not in BY_RECORDING]
-    if not columns:
+    return size_of(error, [each for each in error.sources if each.kind not in BY_RECORDING])
+
+
+def size_of(error: TaskError, sources: Sequence[ErrorSource]) -> float:
+    """Return the 95 % error at the worst point if nothing but some sources erred."""
+    if not sources:
         return 0.0
-    moved = error.jacobian[error.worst] @ np.concatenate(columns, 1)
+    moved = error.jacobian[error.worst] @ np.concatenate([each.columns for each in sources], 1)
     return float(quantile_of_norm((moved @ moved.T)[None], MOST)[0])
 
 

@@ -11,7 +11,7 @@ from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import SENSOR_UNITS, TWIST_UNITS, Limits, allowed, block_of, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
-from calibration.engine.diagnosis.robot_tasks import worst_at_tasks
+from calibration.engine.diagnosis.robot_tasks import breaks_by_disagreement, worst_at_tasks
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ECCENTRICITY_KIND,
     LAG_KIND,
@@ -195,7 +195,7 @@ def _finding_on_suspect(
         if any(unsure[sensor]):
             harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
     text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
-    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]), _errors_of_changes(calibration, suspect))
+    at_task = worst_at_tasks(tasks, _change_by(calibration, [suspect]), _errors_of_change(calibration, suspect))
     if over:
         text += f"; {harm} (limit {limit_of[sensor]}): {advice}"
     elif at_task.broken or at_task.undecided:
@@ -234,7 +234,7 @@ def _finding_on_cameras(
     camera = max(moved, key=lambda name: moved[name])
     model = calibration.dataset.sensors[camera].camera
     limit = projection_limit(model, limits) if model else 0.0
-    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]))
+    at_task = worst_at_tasks(tasks, _change_by(calibration, [suspect]))
     red = moved[camera] > limit or bool(at_task.broken)
     names = " or ".join(dict.fromkeys(_name_cause(each.cause) for each in (suspect, *suspect.rivals)))
     text = (
@@ -363,23 +363,26 @@ def _moved_after(calibration: Calibration, suspect: Suspect) -> Array:
     return moved_by
 
 
-def _changes_by(calibration: Calibration, suspects: Sequence[Suspect]) -> list[Array]:
-    """Return the changes (C,) of all columns of the model by suspects together: to before, and to after a move."""
+def _change_by(calibration: Calibration, suspects: Sequence[Suspect]) -> Array:
+    """Return the change (C,) of all columns of the model by suspects together, to how all is now: where a robot works.
+
+    Of what has moved, to where it is at the end of the recording.
+    """
     model = calibration.solution.model
-    both = np.zeros((2, model.total.shape[0]))
+    change = np.zeros(model.total.shape[0])
     for each in suspects:
-        both[:, : model.shared] += each.moves, _moves_after(calibration, each)
-        both[:, columns_of_cause(model, each.cause)] += each.value
-    return list(both)
+        change[: model.shared] += _moves_after(calibration, each)
+        change[columns_of_cause(model, each.cause)] += each.value
+    return change
 
 
-def _errors_of_changes(calibration: Calibration, suspect: Suspect) -> list[Array]:
-    """Return the errors (C, r) of the changes of all columns by a suspect: to before, and to after a move."""
+def _errors_of_change(calibration: Calibration, suspect: Suspect) -> Array:
+    """Return the errors (C, r) of the change of all columns by a suspect likewise."""
     model = calibration.solution.model
-    both = np.zeros((2, model.total.shape[0], suspect.errors.shape[1]))
-    both[:, : model.shared] = suspect.moved_by @ suspect.errors, _moved_after(calibration, suspect) @ suspect.errors
-    both[:, columns_of_cause(model, suspect.cause)] += suspect.errors
-    return list(both)
+    errors = np.zeros((model.total.shape[0], suspect.errors.shape[1]))
+    errors[: model.shared] = _moved_after(calibration, suspect) @ suspect.errors
+    errors[columns_of_cause(model, suspect.cause)] += suspect.errors
+    return errors
 
 
 def _find_failure_together(
@@ -396,7 +399,7 @@ def _find_failure_together(
     if len(suspects) < 2 or any(each.severity == "red" for each in findings):
         return []
     causes = ", ".join(_name_cause(each.cause) for each in suspects)
-    if (at_task := worst_at_tasks(tasks, _changes_by(calibration, suspects)[:1])).broken:
+    if (at_task := worst_at_tasks(tasks, _change_by(calibration, suspects))).broken:
         text = f"{causes} do not fit: together {at_task}: {ADVICE_ON_CAUSE[suspects[0].cause.kind]}"
         return [Finding("suspect", "red", text, tasks=at_task.broken)]
     moved = _largest_moves(calibration, np.sum([each.moves for each in suspects], axis=0))
@@ -488,7 +491,7 @@ def _find_contradictions(
         subject, keys = _worst_subject(calibration, found, (name, *calibration.dataset.patterns))
         mm, degrees = stated(calibration)[name]
         limit = allowed(calibration, limits, name)
-        broken = tuple(each.task.name for each in tasks if _probably_breaks(each, at[setup.block(edges[name])]))
+        broken = tuple(each.task.name for each in tasks if _is_broken(each, at[setup.block(edges[name])]))
         worst = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg))
         harmful = bool(broken) or worst > MIN_FAILURE_PROBABILITY
         text = (
@@ -502,13 +505,16 @@ def _find_contradictions(
     return findings
 
 
-def _probably_breaks(task: TaskError, own: slice) -> bool:
-    """Whether a task that depends on some parameters is more likely than not beyond its limit at its worst point."""
+def _is_broken(task: TaskError, own: slice) -> bool:
+    """Whether a task that depends on parameters whose views contradict each other is broken by that.
+
+    It is more likely than not beyond its limit at its worst point; or would hold but for their disagreement.
+    """
     limit, worst = task.task.limit, [task.worst]
-    depends = bool(np.abs(task.jacobian[:, :, own]).any())
-    return (
-        depends and limit is not None and probability_beyond(task.covariance[worst], limit)[0] > MIN_FAILURE_PROBABILITY
-    )
+    if limit is None or not np.abs(task.jacobian[:, :, own]).any():
+        return False
+    probable = probability_beyond(task.covariance[worst], limit)[0] > MIN_FAILURE_PROBABILITY
+    return bool(probable) or breaks_by_disagreement(task)
 
 
 def _worst_subject(calibration: Calibration, found: Disagreement, names: Sequence[str]) -> tuple[str, tuple[str, ...]]:

@@ -7,13 +7,14 @@ import pytest
 
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
-from calibration.engine.diagnosis.robot_tasks import undecided_tasks, worst_at_tasks
+from calibration.engine.diagnosis.robot_tasks import unsure_tasks, worst_at_tasks
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
+from calibration.engine.tasks.placed_task import PlacedTask
 from calibration.engine.tasks.robot_task import RobotTask
-from calibration.engine.tasks.task_errors import task_errors
+from calibration.engine.tasks.task_errors import TaskError, task_errors
 from tests.engine.estimation import systems
 
 GRASP = RobotTask("grasp", seen_by=("cam",), frame="flange", distance=0.7)
@@ -36,7 +37,7 @@ def wrong() -> Calibration:
 def found(calibration: Calibration, task: RobotTask, limits: Limits | None = None) -> tuple[Finding, ...]:
     limits, tasks = limits or Limits(by_tasks=task.limit is not None), task_errors(calibration, [task])
     suspects = what_does_not_fit(calibration, limits, tasks)
-    return (*suspects, *undecided_tasks(tasks, suspects))
+    return (*suspects, *unsure_tasks(tasks, suspects))
 
 
 def test_a_cause_is_red_by_what_it_does_to_a_task(wrong: Calibration) -> None:
@@ -102,7 +103,27 @@ def test_a_change_that_is_no_larger_than_its_error_breaks_no_task(good: Calibrat
     [error] = task_errors(good, [replace(GRASP, limit_mm=1.0)])
     change = np.zeros(error.jacobian.shape[2])
     change[0] = 0.01  # of the camera's mount, m
-    assert worst_at_tasks([error], [change], [0.1 * change[:, None]]).broken == ("grasp",)
-    unsure = worst_at_tasks([error], [change], [change[:, None]])
+    assert worst_at_tasks([error], change, 0.1 * change[:, None]).broken == ("grasp",)
+    unsure = worst_at_tasks([error], change, change[:, None])
     assert (unsure.broken, unsure.undecided) == ((), ("grasp",))
-    assert worst_at_tasks([error], [0.01 * change], [change[:, None]]).undecided == ()
+    assert worst_at_tasks([error], 0.01 * change, change[:, None]).undecided == ()
+
+
+def test_collections_that_disagree_break_a_task_where_labels_are_too_noisy(good: Calibration) -> None:
+    """If it would hold but for that; else, and where nothing is wrong with the labels, it is undecided."""
+    [error] = task_errors(good, [GRASP])
+    wide = [
+        replace(each, columns=30 * error.sources[0].columns) if each.kind == "collections" else each
+        for each in error.sources
+    ]
+    noisy = [Finding("noisy-sensor", "note", "")]
+    most = float(error.most.max())
+    severities = {}
+    for share in (1.5, 0.2):
+        apart = replace(error, sources=tuple(wide), placed=_with_limit(error, share * most))
+        severities[share] = [each.severity for of in (noisy, []) for each in unsure_tasks([apart], of)]
+    assert severities == {1.5: ["red", "undecided"], 0.2: ["undecided", "undecided"]}
+
+
+def _with_limit(error: TaskError, limit: float) -> PlacedTask:
+    return replace(error.placed, task=replace(error.task, limit_mm=limit))
