@@ -16,6 +16,7 @@ from calibration.engine.estimation.options import Options
 from calibration.engine.next_pose.advice import Advice, next_poses
 from calibration.engine.next_pose.goals import Goal
 from calibration.engine.tasks.task_errors import TaskError
+from calibration.pipeline.matrix.described_robot import described_robot
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.next_poses_result import NextGoal, NextPose, NextPoses, NextView
 from calibration.robot.next_pose.candidates import PoseCandidates, candidates_of
@@ -24,8 +25,7 @@ from calibration.robot.next_pose.plan import plan_recording
 from calibration.robot.simulation.motion.generation import is_clear
 from calibration.robot.simulation.motion.sequence import motion_document
 from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.system import ROBOT_FILE, SIMULATION_FILE, System, read_system
-from calibration.robot.urdf import read_robot
+from calibration.robot.simulation.system import SIMULATION_FILE, System, read_system
 
 MOTION_FILE, POSES_FILE = "next-poses.json", "next-poses.csv"
 COUNT = 3
@@ -72,13 +72,9 @@ def advise(
     Raises:
         InputError: the robot's description is wrong.
     """
-    folder, exports = loaded.dataset.path.parent, loaded.exports
+    folder = loaded.dataset.path.parent
     system = _simulated_with(folder)
-    robot = system.nominal if system else None
-    if exports is not None and exports.robot_description is not None:
-        robot = read_robot(exports.robot_description, exports.xacro)
-    elif robot is None and (folder / ROBOT_FILE).is_file():
-        robot = read_robot(folder / ROBOT_FILE)
+    robot = described_robot(folder, loaded.exports) or (system.nominal if system else None)
     candidates = candidates_of(calibration, robot, seed)
     if system is not None:
         candidates = _without_collisions(candidates, system)

@@ -143,9 +143,10 @@ def size_of(error: TaskError, sources: Sequence[ErrorSource]) -> float:
 
 def place_in_words(error: TaskError) -> str:
     """Return where a task's worst point is: in the image, or in the frame in which it counts."""
-    placed, (_, number) = error.placed, error.placed.at
+    placed, (poses, number) = error.placed, error.placed.at
+    pose = f" in pose {poses[error.worst] + 1} of its joints" if placed.task.joints else ""
     if placed.pixels is not None:
         u, v = placed.pixels[number[error.worst]].tolist()
-        return f"at pixel ({u:.0f}, {v:.0f}) of {placed.spread_over}"
+        return f"at pixel ({u:.0f}, {v:.0f}) of {placed.spread_over}{pose}"
     x, y, z = placed.places[error.worst].tolist()
-    return f"at ({x:.3g}, {y:.3g}, {z:.3g}) m in {placed.frame}"
+    return f"at ({x:.3g}, {y:.3g}, {z:.3g}) m in {placed.frame}{pose}"

@@ -6,7 +6,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.engine.tasks.placed_task import PlacedTask
+from calibration.engine.tasks.placed_task import PlacedTask, at_work
 
 STEPS = 4
 """Steps of Gauss and Newton of a triangulation."""
@@ -29,10 +29,10 @@ def errors_of_robot(placed: PlacedTask, true: Dataset, used: Dataset, ranges: Ar
         ranges: (n, 3): by how much a LiDAR measures the points elsewhere, in its own frame.
     """
     task, (pose, _), y = placed.task, placed.at, placed.places
-    at = placed.collections[pose]
+    true, used = (at_work(each, task, placed.collections) for each in (true, used))
 
     def to(dataset: Dataset, frame: str) -> Array:
-        return dataset.transform(placed.frame, frame, at)
+        return np.asarray(dataset.transform(placed.frame, frame)[pose])
 
     def seen(dataset: Dataset, frame: str, points: Array) -> Array:
         return apply(inverse(to(dataset, frame)), points[:, None])[:, 0]

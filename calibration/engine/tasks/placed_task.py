@@ -15,7 +15,7 @@ solved by least squares where there are more than three. In the image of a camer
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -32,6 +32,7 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import adjoint, apply, inverse, translation
 from calibration.engine.tasks.robot_task import RobotTask, TaskUnit
+from calibration.engine.tasks.work_poses import WorkPoses
 
 COLUMNS_OVER_IMAGE, ROWS_OVER_IMAGE = 9, 7
 """Points of a task all over an image; those of the outer ones are on its border."""
@@ -50,7 +51,7 @@ class PlacedTask:
     frame: str
     """F, in which the error counts."""
     collections: IntArray
-    """(V,): the poses, by the indices of their collections."""
+    """(V,): the poses, by the indices of their collections, see `at_work`."""
     points: Array
     """(V, P, 3): in F, m."""
     seen: BoolArray
@@ -85,7 +86,16 @@ class TaskFrames:
     ends: tuple[str, ...]
     """All frames of which it has to be known where they are in F."""
     collections: IntArray
-    """(V,): the poses at which the robot is looked at, one if nothing moves between these frames."""
+    """(V,): the poses at which the robot is looked at, one if nothing moves between these frames, see `at_work`."""
+
+
+def at_work(dataset: Dataset, task: RobotTask, collections: IntArray) -> Dataset:
+    """Return a dataset at the V poses at which the robot is looked at: collections (V,) of it, with the task's joints.
+
+    Joints that the task gives no positions of, and all else, stay where they are in these collections.
+    """
+    found = dataset.with_collections(collections.tolist())
+    return found if task.work_poses is None else task.work_poses.taken_by(found)
 
 
 def frames_of_task(dataset: Dataset, task: RobotTask) -> TaskFrames:
@@ -130,22 +140,21 @@ def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> P
     cameras, frame, points_in, collections = found.cameras, found.frame, found.points_in, found.collections
     if gauge is not None:
         _refuse_unknown_place(dataset, task, frame, found.ends, gauge)
+    work = at_work(dataset, task, collections)
     pixels = None
     if task.distance is not None:
         pixels, points = _over_image(cameras[0], task.distance)
     else:
         points = _given_points(task)
-    placed = apply(
-        dataset.transform(frame, points_in, collections), np.broadcast_to(points, (len(collections), *points.shape))
-    )
+    placed = apply(work.transform(frame, points_in), np.broadcast_to(points, (len(collections), *points.shape)))
     seen: BoolArray = np.asarray(np.isfinite(placed).all(-1))
     for each in cameras[pixels is not None :]:  # the first one sees what its own pixels are of
-        seen = seen & _sees(each, apply(dataset.transform(each.frame, frame, collections), placed))
-    _refuse_unreachable(dataset, task, frame, collections, placed)
+        seen = seen & _sees(each, apply(work.transform(each.frame, frame), placed))
+    _refuse_unreachable(dataset, work, task, frame, placed)
     if not seen.any() or (task.points is not None and not seen.any(0).all()):
         number = 0 if not seen.any() else int((~seen.any(0)).argmax())
         names = " and ".join(each.name for each in cameras)
-        x, y, z = apply(dataset.transform(cameras[0].frame, frame, collections[:1]), placed[:1])[0, number].tolist()
+        x, y, z = apply(work.transform(cameras[0].frame, frame)[:1], placed[:1])[0, number].tolist()
         behind = "behind it" if z <= 0 else "beside its image"
         raise _fault(
             task,
@@ -183,7 +192,10 @@ def _is_metric(sensor: Sensor | None) -> bool:
 
 
 def _poses_of_robot(dataset: Dataset, task: RobotTask, frame: str, ends: Iterable[str]) -> IntArray:
-    """Return the collections (V,) at which the robot is looked at: one if nothing moves between the frames."""
+    """Return the collections (V,) at which the robot is looked at: one if nothing moves between the frames.
+
+    For joint positions that the task gives, the same one for each of them.
+    """
     edges: dict[Edge, None] = {}
     for end in ends:
         try:
@@ -200,6 +212,9 @@ def _poses_of_robot(dataset: Dataset, task: RobotTask, frame: str, ends: Iterabl
             f"between the frames is '{'-'.join(free)}', which has another place in each collection and is calibrated "
             "there; expected frames of the robot",
         )
+    if (poses := task.work_poses) is not None:
+        _refuse_other_joints(dataset, task, poses, edges)
+        edges = {edge: None for edge in edges if edge not in poses.transforms}
     if task.collections is not None:
         if missing := next((key for key in task.collections if key not in dataset.keys), None):
             raise _fault(
@@ -214,12 +229,29 @@ def _poses_of_robot(dataset: Dataset, task: RobotTask, frame: str, ends: Iterabl
     chosen = chosen[known]
     if not len(chosen):
         raise _fault(task, "collections", "no collection has all transforms between the frames")
+    if poses is not None:
+        return np.full(poses.count, chosen[0])
     moving = any(np.abs(T - T[0]).max() > STILL_TOLERANCE for T in (dataset.transforms[edge][chosen] for edge in edges))
     if not moving:
         return chosen[:1]
     return np.asarray(
         chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_POSES, len(chosen))).round().astype(int))]
     )
+
+
+def _refuse_other_joints(dataset: Dataset, task: RobotTask, poses: WorkPoses, edges: Iterable[Edge]) -> None:
+    """Refuse joint positions that do not say where everything between the frames is, or say nothing of it.
+
+    Raises:
+        InputError: so it is.
+    """
+    if not any(edge in poses.transforms for edge in edges):
+        raise _fault(task, "joints", "found no joint between the frames of this task, expected one that moves them")
+    for edge in edges:
+        if edge not in poses.transforms and _moves(dataset, edge):
+            joints = ", ".join(poses.others.get(edge, ()))
+            what = f"a position of {joints}" if joints else "frames between which only joints of its description move"
+            raise _fault(task, "joints", f"between the frames '{'-'.join(edge)}' moves too, expected {what}")
 
 
 def _refuse_unknown_place(dataset: Dataset, task: RobotTask, frame: str, ends: Iterable[str], gauge: str) -> None:
@@ -267,10 +299,17 @@ def _sees(sensor: Sensor, points: Array) -> BoolArray:
     return visible & camera.contains(np.where(np.isfinite(pixels), np.rint(pixels), -1e9))
 
 
-def _refuse_unreachable(dataset: Dataset, task: RobotTask, frame: str, collections: IntArray, placed: Array) -> None:
+def _refuse_unreachable(dataset: Dataset, work: Dataset, task: RobotTask, frame: str, placed: Array) -> None:
     """Refuse points that the arm between them and the frame in which the error counts is too short to reach.
 
     The links' lengths in all are the limit. An arm that is one transform from base to flange does not tell its own.
+
+    Args:
+        dataset: the recording, which tells what moves.
+        work: the same at the poses at which the robot is looked at.
+        task: the task.
+        frame: in which the error counts.
+        placed: (V, P, 3): its points there.
 
     Raises:
         InputError: there is one.
@@ -285,7 +324,7 @@ def _refuse_unreachable(dataset: Dataset, task: RobotTask, frame: str, collectio
     base = first.child if first.inverted else first.parent
     edges = [(step.parent, step.child) for step in path[moving[0] :]]
     reach = sum(float(np.linalg.norm(dataset.transforms[edge][:, :3, 3], axis=1).max()) for edge in edges)
-    far = np.linalg.norm(apply(dataset.transform(base, frame, collections), placed), axis=-1).max()
+    far = np.linalg.norm(apply(work.transform(base, frame), placed), axis=-1).max()
     if far > reach:
         raise _fault(
             task,
@@ -358,6 +397,11 @@ class TaskColumns:
     solution: Solution
     placed: PlacedTask
 
+    @cached_property
+    def _work(self) -> Dataset:
+        """The calibrated dataset at the V poses at which the robot is looked at."""
+        return at_work(self.solution.dataset, self.placed.task, self.placed.collections)
+
     @property
     def count(self) -> int:
         """C."""
@@ -366,8 +410,10 @@ class TaskColumns:
 
     def displacement(self, end: str) -> Array:
         """Return the displacement (n, 3, C) in F of points that a frame carries, by the transforms between."""
-        placed, dataset = self.placed, self.solution.dataset
-        chain = chain_along(dataset, dataset.tree.path(placed.frame, end), placed.collections)
+        placed, work = self.placed, self._work
+        chain = chain_along(work, work.tree.path(placed.frame, end), np.arange(len(placed.collections)))
+        elsewhere = None if placed.task.work_poses is None else work
+        chain = replace(chain, collections=placed.collections, elsewhere=elsewhere)
         twists = np.zeros((len(placed.collections), 6, self.count))  # in the frame that carries them
         for at, columns in self._twists(chain):
             twists[:, :, at] += columns
@@ -380,9 +426,9 @@ class TaskColumns:
     def _twists(self, chain: Chain) -> Iterator[tuple[slice, Array]]:
         """Yield the twists (V, 6, k) of a chain's pose by the parameters of transforms, calibrated and held."""
         solution = self.solution
-        problem, dataset = solution.setup.problem, solution.dataset
-        joints = {joint.edge: joint for joint in dataset.joints.values()}
-        centres = {pattern.edge: adjoint(translation(pattern.centre)) for pattern in dataset.patterns.values()}
+        problem, work = solution.setup.problem, self._work
+        joints = {joint.edge: joint for joint in work.joints.values()}
+        centres = {pattern.edge: adjoint(translation(pattern.centre)) for pattern in work.patterns.values()}
         for block, at in problem.shared_parameters.items():
             edge, kind = problem.blocks[block].edge, problem.blocks[block]
             if edge is None:
@@ -391,7 +437,7 @@ class TaskColumns:
             if kind.joint is not None:
                 joint = joints[edge]
                 own = kind.joint.model.columns(solution.values[block])[:, kind.joint.at]
-                columns = adjoint(inverse(joint.model.motion(joint.positions[chain.collections]))) @ own
+                columns = adjoint(inverse(joint.model.motion(joint.positions))) @ own
             elif not isinstance(kind.parameters, Pose):
                 continue
             if (moved := chain.twist(edge, columns)) is not None:
@@ -403,7 +449,7 @@ class TaskColumns:
     def _in_sensor(self, sensor: Sensor) -> tuple[Array, Array]:
         """Return ``R_F_sensor`` (n, 3, 3), and the points (n, 3) in the sensor's frame."""
         placed, (pose, _) = self.placed, self.placed.at
-        T = self.solution.dataset.transform(placed.frame, sensor.frame, placed.collections)[pose]
+        T = self._work.transform(placed.frame, sensor.frame)[pose]
         R = T[:, :3, :3]
         return R, np.einsum("nji,nj->ni", R, placed.places - T[:, :3, 3])
 

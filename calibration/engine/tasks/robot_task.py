@@ -1,5 +1,6 @@
 """Task of a robot, as calibration.yml has it: points, who sees them, and where the error counts."""
 
+from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from calibration.base.records import (
@@ -15,12 +16,16 @@ from calibration.base.records import (
     length,
     record,
 )
+from calibration.engine.tasks.work_poses import WorkPoses
 
 Name = Annotated[str, length(1, 400)]
 MAX_COORDINATE = 1e4
 """m: limit of a task's coordinates."""
 Coordinate = Annotated[float, between(-MAX_COORDINATE, MAX_COORDINATE)]
 Point = Annotated[tuple[Coordinate, ...], length(3, 3)]
+MAX_WORK_POSES = 100
+"""Limit of the poses that joint positions of one's own make."""
+Position = Annotated[float, between(-MAX_COORDINATE, MAX_COORDINATE)]
 TaskUnit = Literal["mm", "px", "deg"]
 
 
@@ -43,6 +48,7 @@ class Box:
         excludes("in", "in-image-of"),
         excludes("in", "on-plane"),
         excludes("in-image-of", "on-plane"),
+        excludes("joints", "collections"),
         excludes("limit-mm", "limit-px"),
         excludes("limit-mm", "limit-deg"),
         excludes("limit-px", "limit-deg"),
@@ -83,6 +89,11 @@ class RobotTask:
         "The collections in whose poses the robot works, by their keys. By default poses from all of them.",
         default=None,
     )
+    joints: Mapping[Name, Annotated[tuple[Position, ...], length(1, MAX_WORK_POSES)]] | None = field(
+        "Instead: positions of joints at which the robot works, by name, rad or m: the first of each make the first "
+        "pose. They need its description.",
+        default=None,
+    )
     limit_mm: Annotated[float, above(0)] | None = field(
         "The largest error that passes: 95 % at the worst point stay below it.", default=None, unit="mm"
     )
@@ -92,6 +103,8 @@ class RobotTask:
         default=None,
         unit="degrees",
     )
+    work_poses: WorkPoses | None = None
+    """Those of its joints, set once the robot's description is read."""
 
     def __post_init__(self) -> None:
         """Refuse keys that do not go together.
@@ -106,6 +119,8 @@ class RobotTask:
             raise Misfit("found 'of' alone, expected the frame in which the error counts ('in') or 'in-image-of'", "of")
         if self.plane is not None and (len(self.seen_by) != 1 or self.limit_deg is not None):
             raise Misfit("expected one camera ('seen-by') and a limit in mm", "on-plane")
+        if self.joints is not None and len(set(map(len, self.joints.values()))) != 1:
+            raise Misfit("expected one joint or more, and as many positions of each", "joints")
 
     @property
     def unit(self) -> TaskUnit:

@@ -25,6 +25,7 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.estimation.start.lens_choice import with_chosen_lenses
 from calibration.engine.tasks.placed_task import frames_of_task
+from calibration.engine.tasks.robot_task import RobotTask
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder
 from calibration.pipeline.matrix.cell_verdict import check_rules
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
@@ -212,7 +213,7 @@ def load(system: System) -> LoadedSystem:
                 f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"
                 f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
             )
-    _check_tasks(system, dataset)
+    tasks = _known_tasks(system, dataset)
     options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
     loaded = LoadedSystem(
         system.name,
@@ -221,7 +222,7 @@ def load(system: System) -> LoadedSystem:
         evaluation,
         options,
         system.judging_limits,
-        system.tasks,
+        tasks,
         system.datasets,
         system.accepted,
         copies,
@@ -246,17 +247,26 @@ def _evaluation_from(text: str) -> "Evaluation":
     return parse_evaluation(text)
 
 
-def _check_tasks(system: System, dataset: Dataset) -> None:
-    """Refuse tasks whose sensors and frames the dataset does not have.
+def _known_tasks(system: System, dataset: Dataset) -> tuple[RobotTask, ...]:
+    """Return the tasks of a system, with the poses of their joints.
 
     Raises:
-        InputError: the first one.
+        InputError: the dataset does not have a task's sensors or frames, or the robot not its joints.
     """
+    tasks = []
     for task in system.tasks:
         try:
+            if task.joints is not None:
+                # with the simulation; most tasks have none
+                from calibration.pipeline.matrix.described_robot import described_robot, work_poses
+
+                robot = described_robot(dataset.path.parent, system.exports)
+                task = replace(task, work_poses=work_poses(task, dataset, robot))
             frames_of_task(dataset, task)
         except InputError as error:
             raise InputError(f"systems.{system.name}.{error}") from None
+        tasks.append(task)
+    return tuple(tasks)
 
 
 def _check_methods(system: System) -> None:

@@ -5,8 +5,8 @@ Each is a *cause*: a few parameters with a common error, the derivatives of the 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -74,6 +74,8 @@ class Chain:
     """From the frame to the last one."""
     prefixes: Mapping[Edge, Array]
     """``T_frame_child`` (V, 4, 4) of each edge in the path."""
+    elsewhere: Dataset | None = field(default=None, kw_only=True)
+    """Of V poses that are not those of the collections, such as where the robot works; None if they are."""
 
     @cached_property
     def _from_frame(self) -> Array:
@@ -209,9 +211,8 @@ def causes(
         found += _of_pattern(name, has_border, assume)
     moving = _moving_edges(dataset, groups)
     for edge in moving:
-        T = dataset.transforms[edge]
-        found += _of_moving_edge(edge, T, assume)
-        if joint_axis(T) is None and all(each.names.poses for each in groups):
+        found += _of_moving_edge(dataset, edge, assume)
+        if joint_axis(dataset.transforms[edge]) is None and all(each.names.poses for each in groups):
             found.append(_of_whole_arm(edge, assume))
     return [*found, *_of_sagging_arms(dataset, moving)]
 
@@ -303,26 +304,39 @@ def _combinations_of_subject(subject: str, weights: Sequence[dict[str, float]]) 
     return tuple({(subject, name): weight for name, weight in each.items()} for each in weights)
 
 
-def _of_moving_edge(edge: Edge, T: Array, assume: Assumptions) -> Iterator[Cause]:
-    name = "-".join(edge)
+def _of_moving_edge(dataset: Dataset, edge: Edge, assume: Assumptions) -> Iterator[Cause]:
+    name, T = "-".join(edge), dataset.transforms[edge]
     sigma = (assume.arm_translation,) * 3 + (assume.arm_rotation,) * 3
     yield Cause(LINK_KIND, name, "m", sigma, lambda chain: chain.twist(edge))
     axis = joint_axis(T)
     if axis is None:
-        lengths = _lengthening_twists(T)
-        yield Cause("lengths", name, "1", (0.0,), _on_views(edge, lengths))
+
+        def lengths(at: Dataset) -> Array:
+            return _lengthening_twists(at.transforms[edge])
+
+        yield Cause("lengths", name, "1", (0.0,), _on_views(dataset, edge, lengths))
         return
     direction, position, prismatic = axis
     unit: Unit = "m" if prismatic else "rad"
     one = assume.arm_translation if prismatic else assume.arm_rotation
-    back = np.sign(np.diff(position, prepend=position[:1])) / 2
-    constant = np.broadcast_to(direction, (len(T), 6))[..., None]
-    yield Cause("encoder offset", name, unit, (one,), _on_views(edge, constant), counts=False)
-    yield Cause("encoder gain", name, "1", (0.0,), _on_views(edge, constant * position[:, None, None]))
+    middle = float((local(T[0], T) @ direction).mean())
+
+    def along(effects: Callable[[Array], Array]) -> Twists:
+        """Turns or shifts along the axis by effects (N, k) of the positions (N,)."""
+
+        def twists(at: Dataset) -> Array:
+            here = position if at is dataset else local(T[0], at.transforms[edge]) @ direction - middle
+            return direction[:, None] * effects(here)[:, None]
+
+        return _on_views(dataset, edge, twists)
+
+    yield Cause("encoder offset", name, unit, (one,), along(lambda at: np.ones((len(at), 1))), counts=False)
+    yield Cause("encoder gain", name, "1", (0.0,), along(lambda at: at[:, None]))
     if not prismatic:
-        once_a_turn = np.stack([np.sin(position), np.cos(position), np.ones_like(position)], -1)[:, None]
-        yield Cause(ECCENTRICITY_KIND, name, unit, (0.0,) * 3, _on_views(edge, constant * once_a_turn))
-    yield Cause("backlash", name, unit, (one,), _on_views(edge, constant * back[:, None, None]), counts=False)
+        once_a_turn = along(lambda at: np.stack([np.sin(at), np.cos(at), np.ones_like(at)], -1))
+        yield Cause(ECCENTRICITY_KIND, name, unit, (0.0,) * 3, once_a_turn)
+    backlash = along(lambda at: (np.sign(np.diff(at, prepend=at[:1])) / 2)[:, None])
+    yield Cause("backlash", name, unit, (one,), backlash, counts=False)
 
 
 def _of_whole_arm(edge: Edge, assume: Assumptions) -> Cause:
@@ -348,20 +362,37 @@ def _of_sagging_arms(dataset: Dataset, moving: Sequence[Edge]) -> Iterator[Cause
         if any(np.isnan(dataset.transforms[each]).any() for each in chain):
             continue  # where it is in the world is not known in each collection
         base = next(each for each in chain if each in moving)[0]
-        T_world_end = dataset.transform(dataset.world, edge[1])
-        reach = T_world_end[:, :3, 3] - dataset.transform(dataset.world, base)[:, :3, 3]
-        reach[:, 2] = 0.0
-        twists = np.zeros((len(reach), 6, 2))  # along the world's axes
-        twists[:, 2, 0] = -(reach**2).sum(-1)
-        twists[:, 3:, 1] = np.cross(reach, (0.0, 0.0, -1.0))
-        to_end = np.swapaxes(T_world_end[:, :3, :3], 1, 2)
-        turned = np.concatenate([to_end @ twists[:, :3], to_end @ twists[:, 3:]], 1)
-        yield Cause(SAG_KIND, f"{base}-{edge[1]}", "m", (0.0, 0.0), _on_views(edge, turned))
+        hanging = partial(_hanging_twists, base=base, edge=edge)
+        yield Cause(SAG_KIND, f"{base}-{edge[1]}", "m", (0.0, 0.0), _on_views(dataset, edge, hanging))
 
 
-def _on_views(edge: Edge, twists: Array) -> Twists:
-    """Return the effect of twists (N, 6, k) in an edge's child frame, one for each collection."""
-    return lambda chain: chain.twist(edge, twists[chain.collections])
+def _hanging_twists(dataset: Dataset, base: str, edge: Edge) -> Array:
+    """Return the twists (N, 6, 2) of an arm's end that hangs lower, and is tilted, see `_of_sagging_arms`."""
+    T_world_end = dataset.transform(dataset.world, edge[1])
+    reach = T_world_end[:, :3, 3] - dataset.transform(dataset.world, base)[:, :3, 3]
+    reach[:, 2] = 0.0
+    twists = np.zeros((len(reach), 6, 2))  # along the world's axes
+    twists[:, 2, 0] = -(reach**2).sum(-1)
+    twists[:, 3:, 1] = np.cross(reach, (0.0, 0.0, -1.0))
+    to_end = np.swapaxes(T_world_end[:, :3, :3], 1, 2)
+    return np.concatenate([to_end @ twists[:, :3], to_end @ twists[:, 3:]], 1)
+
+
+def _on_views(dataset: Dataset, edge: Edge, twists: Callable[[Dataset], Array]) -> Twists:
+    """Return the effect of twists (N, 6, k) in an edge's child frame, one for each collection of a dataset.
+
+    Args:
+        dataset: the recording.
+        edge: the edge.
+        twists: those of the collections of a dataset, the recording or poses elsewhere.
+    """
+    recorded = twists(dataset)
+
+    def effect(chain: Chain) -> Array | None:
+        here = recorded[chain.collections] if chain.elsewhere is None else twists(chain.elsewhere)
+        return chain.twist(edge, here)
+
+    return effect
 
 
 def _lengthening_twists(T: Array) -> Array:
