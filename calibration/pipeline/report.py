@@ -41,7 +41,7 @@ def write_results(results: PipelineResults, output: Path, stopped: str | None = 
             sentence=why,
             reasons=(why, *found.reasons),
             suites={**found.suites, "run": [Outcome(name="run", group="run", reasons=(why,))]},
-            files={**found.files, BADGE: verdict_badge("calibration", "fail")},
+            files={**found.files, BADGE: verdict_badge("fail")},
         )
     found.write(output)
 
@@ -110,7 +110,7 @@ def report(results: PipelineResults, output: Path) -> Report:
         },
         files={
             CELLS_FILE: report_blocks.cells_table(results).csv(),
-            BADGE: verdict_badge("calibration", results.verdict),
+            BADGE: verdict_badge(results.verdict),
         },
     )
 

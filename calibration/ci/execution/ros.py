@@ -24,11 +24,11 @@ _LOOPBACK_ADDRESS = "127.0.0.1"
 _MASTER_URI = r"(?P<before>https?://)(?P<host>[^/:]+)(?P<after>.*)"
 
 
-def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
+def with_ros(job: Job, version: RosVersion) -> Job:
     """Add containers and variables for a version of ROS; variables of the user are kept.
 
-    1: a container with a master, for which the others wait, in ``image`` (by default that of the first
-    container), and the variables by which nodes find it and each other. 2: no master; a domain, and a
+    1: a container with a master, for which the others wait, in the image of the first container, and the variables
+    by which nodes find it and each other. 2: no master; a domain, and a
     private network even for a single container, because nodes find each other by multicast and
     must not find those of other jobs. The folder for logs of ROS 2 is writable for all users.
 
@@ -52,7 +52,7 @@ def with_ros(job: Job, version: RosVersion, image: str | None = None) -> Job:
         raise InputError(f"job '{job.name}': with ROS 1 no other container may have the name '{MASTER_NAME}'")
     master = Container(
         name=MASTER_NAME,
-        image=image or job.containers[0].image,
+        image=job.containers[0].image,
         command=("roscore", "-p", str(MASTER_PORT)),
         readiness=Readiness(port=MASTER_PORT),
         essential=False,

@@ -141,9 +141,9 @@ def _scripts_of_scenes() -> tuple[Html, ...]:
     )
 
 
-def section(title: str, *content: str, level: int = 2, anchor: str | None = None) -> Html:
+def section(title: str, *content: str, anchor: str | None = None) -> Html:
     """Return a section with its heading."""
-    return element("section", element(f"h{level}", title), *content, id_=anchor)
+    return element("section", element("h2", title), *content, id_=anchor)
 
 
 def figure(drawing: Html, caption: str) -> Html:
@@ -151,9 +151,9 @@ def figure(drawing: Html, caption: str) -> Html:
     return element("figure", drawing, element("figcaption", caption))
 
 
-def folded(title: str, *content: str, opened: bool = False) -> Html:
+def folded(title: str, *content: str) -> Html:
     """Return a section that a reader can open."""
-    return element("details", element("summary", title), *content, open_="open" if opened else None)
+    return element("details", element("summary", title), *content)
 
 
 def verdict_line(verdict: str, sentence: str) -> Html:

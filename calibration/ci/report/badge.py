@@ -24,9 +24,9 @@ def drawn_badge(label: str, text: str, colour: str) -> str:
 """
 
 
-def verdict_badge(label: str, verdict: Verdict) -> str:
-    """Return the badge of a verdict as SVG: green for pass, amber for undecided, red for fail."""
-    return drawn_badge(label, verdict, {"pass": GOOD, "undecided": FAIR, "fail": BAD}[verdict])
+def verdict_badge(verdict: Verdict) -> str:
+    """Return the badge of a calibration's verdict as SVG: green for pass, amber for undecided, red for fail."""
+    return drawn_badge("calibration", verdict, {"pass": GOOD, "undecided": FAIR, "fail": BAD}[verdict])
 
 
 def _text_width(text: str) -> int:

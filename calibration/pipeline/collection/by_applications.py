@@ -79,7 +79,7 @@ class ApplicationPlan:
         return PurePosixPath(dataset_place(request.applications, self.name, request.seed, scenario)).name
 
 
-def collect_by_applications(request: CollectionRequest, output: Path, overwrite: bool = False) -> CollectionResults:
+def collect_by_applications(request: CollectionRequest, output: Path, overwrite: bool) -> CollectionResults:
     """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
 
     Raises:

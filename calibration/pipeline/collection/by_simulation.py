@@ -69,12 +69,7 @@ PoseDone = Callable[[int, int, Record], None]
 
 
 def collect_by_simulation(
-    request: CollectionRequest,
-    output: Path,
-    overwrite: bool = False,
-    jobs: int | None = None,
-    begin: Begin = lambda *_: None,
-    done: PoseDone = lambda *_: None,
+    request: CollectionRequest, output: Path, overwrite: bool, jobs: int | None, begin: Begin, done: PoseDone
 ) -> CollectionResults:
     """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
 

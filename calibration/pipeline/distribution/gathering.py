@@ -161,7 +161,7 @@ def report_of_run(gathered: Gathered, cost: Cost, output: Path) -> Report:
         ),
         results=RunResults(**vars(report_of_cells.results), cost=cost),
         # The cells' own results stay in the artifacts of their jobs.
-        files={CELLS_FILE: report_of_cells.files[CELLS_FILE], BADGE: verdict_badge("calibration", verdict)},
+        files={CELLS_FILE: report_of_cells.files[CELLS_FILE], BADGE: verdict_badge(verdict)},
         outputs={
             **report_of_cells.outputs,
             "output": output,

@@ -132,7 +132,7 @@ def report(results: RepeatedResults, runs: Sequence[Repetition], output: Path, t
         suites={run.folder.name: list(run.outcomes) for run in runs},
         results=results,
         outputs={"report": output / PAGE_FILE},
-        files={BADGE_FILE: verdict_badge("calibration", results.verdict)},
+        files={BADGE_FILE: verdict_badge(results.verdict)},
     )
     return replace(found, files={**found.files, PAGE_FILE: _page(found, runs)})
 

@@ -28,7 +28,6 @@ def test_ros_1_has_a_master_that_everybody_waits_for() -> None:
         assert container.environment["ROS_MASTER_URI"] == "http://master:11311"
         assert container.environment["ROS_HOSTNAME"] == container.name
     assert sim.environment["ROS_HOME"] == "/mine"  # the user's values take precedence
-    assert with_ros(JOB, "1", "ros:noetic").containers[0].image == "ros:noetic"
 
 
 def test_ros_2_has_no_master_and_a_network_of_its_own() -> None:
