@@ -15,7 +15,7 @@ from urllib.parse import urljoin, urlsplit
 
 from calibration.base.errors import InfrastructureError, innermost_message
 from calibration.base.redaction import redact
-from calibration.base.text import one_line, shorten
+from calibration.base.text import count_of, one_line, shorten
 
 if TYPE_CHECKING:
     import requests
@@ -118,7 +118,7 @@ class Http:
             self._secrets.add(headers["Authorization"].partition(" ")[2])
         for attempt in range(1, MAX_ATTEMPTS + 1):
             wait = FIRST_PAUSE * 2 ** (attempt - 1)
-            attempts = f"{attempt} attempt{'s' if attempt > 1 else ''}"
+            attempts = count_of(attempt, "attempt")
             try:
                 answer = self._send_within_time(method, url, headers, body)
             except _NoAnswerError as error:

@@ -17,6 +17,7 @@ from calibration.addons.aws_batch.settings import AWS_BATCH, BatchSettings
 from calibration.addons.aws_batch.store import CloudRun, Store
 from calibration.addons.aws_batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
 from calibration.base.errors import InputError
+from calibration.base.text import count_of
 from calibration.ci.execution.backends import ExecutionTarget, Left, Leftovers, read_sections
 from calibration.ci.execution.docker.labels import Owner, check_run_name, new_run
 from calibration.ci.execution.job import Job
@@ -198,7 +199,7 @@ class OldRevisions(_InAws[OldRevision]):
 
     def summary(self, chosen: Sequence[OldRevision], dry_run: bool) -> str:
         """Return the number of deregistered revisions, as a sentence."""
-        count = f"{len(chosen)} old revision{'s' * (len(chosen) != 1)}" if chosen else "nothing"
+        count = count_of(len(chosen), "old revision") if chosen else "nothing"
         return f"{count} {'would be deregistered' if dry_run else 'deregistered'}"
 
 

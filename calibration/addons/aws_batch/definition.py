@@ -21,6 +21,7 @@ from calibration.addons.aws_batch.wire import (
     mount_targets,
 )
 from calibration.base.errors import InputError
+from calibration.base.text import count_of
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
 
 TOOLS_MEMORY = 512
@@ -413,7 +414,7 @@ class Estimate:
         if settings.platform == "ec2":
             text += " and instances are filled"
         if self.unlimited:
-            text += f"; not including {self.unlimited} job{'s' * (self.unlimited != 1)} without a time limit"
+            text += f"; not including {count_of(self.unlimited, 'job')} without a time limit"
         return text
 
 

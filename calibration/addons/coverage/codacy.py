@@ -11,7 +11,7 @@ from calibration.addons.coverage.lines import FileCoverage
 from calibration.addons.coverage.sources import language_of
 from calibration.base.errors import InfrastructureError, InputError
 from calibration.base.http import Answer, Http, is_loopback
-from calibration.base.text import shorten
+from calibration.base.text import count_of, shorten
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Codacy:
         partial = upload.partial or upload.final or len(languages) > 1
         found = [
             self._request_of(
-                f"{len(files)} {language} file{'' if len(files) == 1 else 's'}",
+                count_of(len(files), f"{language} file"),
                 self._report_path(upload.commit, language) + f"?partial={'true' if partial else 'false'}",
                 report_body(files),
             )

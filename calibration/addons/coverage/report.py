@@ -155,7 +155,7 @@ def what_is_left_out(found: UncountedFile) -> list[str]:
     if found.unreadable:
         lines.append(f"left out, because coverage.py cannot read or parse them: {_names_text(found.unreadable)}")
     for language, count in sorted(found.without_report.items()):
-        lines.append(f"{count} {language} file{'' if count == 1 else 's'} not counted: no report contains any")
+        lines.append(f"{count_of(count, f'{language} file')} not counted: no report contains any")
     return lines
 
 

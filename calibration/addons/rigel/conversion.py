@@ -241,25 +241,15 @@ def written(conversion: Conversion, source: str) -> str:
     parts = [
         _comment_text(f"Made from {source} by `calibration import-rigelfile`; from now on it is yours to edit."),
         _notes_text(conversion, NoteKind.TO_DO),
+        _section_text("image", conversion.image, f"the {conversion.image_origin}"),
+        _section_text("noise", conversion.noise, f"{conversion.noise_origin}; m and rad"),
+        _entries_text("systems", conversion.systems),
+        _entries_text("simulation", conversion.simulations),
+        _section_text("aws-batch", conversion.batch, f"the {conversion.batch_origin}", flow=False),
+        _section_text("requirements", conversion.requirements, f"the {conversion.requirements_origin}", flow=False),
+        _notes_text(conversion, NoteKind.CHANGED),
+        _notes_text(conversion, NoteKind.LOST),
     ]
-    if conversion.image:
-        parts.append(_comment_text(f"from the {conversion.image_origin}") + _dump_yaml({"image": conversion.image}))
-    if conversion.noise:
-        parts.append(
-            _comment_text(f"from {conversion.noise_origin}; m and rad") + _dump_yaml({"noise": conversion.noise})
-        )
-    parts += [_section_text("systems", conversion.systems), _section_text("simulation", conversion.simulations)]
-    if conversion.batch:
-        parts.append(
-            _comment_text(f"from the {conversion.batch_origin}")
-            + _dump_yaml({"aws-batch": conversion.batch}, flow=False)
-        )
-    if conversion.requirements:
-        parts.append(
-            _comment_text(f"from the {conversion.requirements_origin}")
-            + _dump_yaml({"requirements": conversion.requirements}, flow=False)
-        )
-    parts += [_notes_text(conversion, NoteKind.CHANGED), _notes_text(conversion, NoteKind.LOST)]
     return _without_secrets(conversion.secrets, "\n".join(part for part in parts if part))
 
 
@@ -271,7 +261,11 @@ def _without_secrets(secrets: Mapping[str, str], text: str) -> str:
     return text
 
 
-def _section_text(name: str, entries: list[ConvertedEntry]) -> str:
+def _section_text(name: str, content: Mapping[str, Any], origin: str, flow: bool | None = None) -> str:
+    return _comment_text(f"from {origin}") + _dump_yaml({name: content}, flow) if content else ""
+
+
+def _entries_text(name: str, entries: list[ConvertedEntry]) -> str:
     if not entries:
         return ""
     blocks = [

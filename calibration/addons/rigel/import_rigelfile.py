@@ -10,7 +10,7 @@ from calibration.addons.rigel.document import read_rigelfile
 from calibration.addons.rigel.fields import NoteKind
 from calibration.base.errors import ExitCode, InputError
 from calibration.base.files import write_atomically
-from calibration.base.text import one_line
+from calibration.base.text import count_of, one_line
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, stop_commands
 from calibration.commands.parameters import boolean_option, path
 
@@ -51,8 +51,8 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
     count = {kind: sum(note.kind is kind for note in conversion.notes) for kind in NoteKind}
     with stop_commands(runner):
         runner.log(
-            f"{one_line(str(output))}: {_count_of('system', len(conversion.systems))}, "
-            f"{_count_of('simulation', len(conversion.simulations))}, {'an' if conversion.image else 'no'} image; "
+            f"{one_line(str(output))}: {count_of(len(conversion.systems), 'system')}, "
+            f"{count_of(len(conversion.simulations), 'simulation')}, {'an' if conversion.image else 'no'} image; "
             f"{count[NoteKind.TO_DO]} to do, "
             f"{count[NoteKind.CHANGED]} work otherwise here, {count[NoteKind.LOST]} not carried over"
         )
@@ -60,10 +60,6 @@ def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: boo
         if complaint:
             runner.log(one_line(f"before `calibration run --config {output}`: {complaint}"))
     return ExitCode.PASS
-
-
-def _count_of(what: str, number: int) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def _complaint_of_reader(output: Path) -> str:

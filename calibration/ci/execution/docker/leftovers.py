@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import docker.errors
 
 from calibration.base.errors import InfrastructureError
+from calibration.base.text import count_of
 from calibration.ci.docker_engine import connect, engine_errors, engine_message
 from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, RUN_LABEL, Owner
 
@@ -103,7 +104,7 @@ def remove_of_dead_runs(api: "APIClient") -> list[Leftover]:
 def counts_of(leftovers: Iterable[Leftover]) -> str:
     """Return the number of objects of each kind, in words; ``nothing`` for none."""
     kinds = [leftover.kind for leftover in leftovers]
-    counts = [f"{kinds.count(kind)} {kind}{'s' * (kinds.count(kind) != 1)}" for kind in dict.fromkeys(kinds)]
+    counts = [count_of(kinds.count(kind), kind) for kind in dict.fromkeys(kinds)]
     return ", ".join(counts) or "nothing"
 
 
