@@ -141,10 +141,6 @@ def pull_image(name: str, settings: RegistrySettings, runner: Runner, title: str
         fetch(client, name, lambda _: credentials, None, log)
 
 
-if TYPE_CHECKING:
-    from docker import DockerClient
-
-
 _ESCAPE_DIRECTIVE = re.compile(r"#\s*escape\s*=\s*(\S)\s*$", re.IGNORECASE)
 _HERE_DOCUMENT = re.compile(r"""<<-?(["']?)([A-Za-z_][A-Za-z0-9_]*)\1""")
 _VARIABLE_USE = re.compile(r"\$(?:(\w+)|\{(\w+)(?::?-([^}]*))?\})")
