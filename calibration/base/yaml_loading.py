@@ -80,11 +80,14 @@ def _count_unfolded(node: yaml.Node, sizes: dict[int, int]) -> int:
     if (known := sizes.get(id(node))) is not None:
         return known
     sizes[id(node)] = 2 * MAX_ALIASED  # during the count, so that a node that contains itself exceeds the limit
-    children = node.value if isinstance(node, yaml.SequenceNode) else ()
-    if isinstance(node, yaml.MappingNode):
-        children = [part for pair in node.value for part in pair]
-    sizes[id(node)] = 1 + sum(_count_unfolded(child, sizes) for child in children)
+    sizes[id(node)] = 1 + sum(_count_unfolded(child, sizes) for child in _children_of(node))
     return sizes[id(node)]
+
+
+def _children_of(node: yaml.Node) -> Sequence[yaml.Node]:
+    if isinstance(node, yaml.MappingNode):
+        return [part for pair in node.value for part in pair]
+    return node.value if isinstance(node, yaml.SequenceNode) else ()
 
 
 def parse_yaml(data: bytes, path: Path) -> object:
@@ -126,8 +129,5 @@ def _nodes_below(node: yaml.Node | None, seen: set[int]) -> Iterator[yaml.Node]:
         return
     seen.add(id(node))
     yield node
-    children = node.value if isinstance(node, yaml.SequenceNode) else ()
-    if isinstance(node, yaml.MappingNode):
-        children = [part for pair in node.value for part in pair]
-    for child in children:
+    for child in _children_of(node):
         yield from _nodes_below(child, seen)

@@ -4,9 +4,8 @@ https://forgejo.org/docs/latest/user/actions/reference/
 """
 
 from collections.abc import Iterable
-from contextlib import suppress
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.errors import InputError
 from calibration.ci.github.service import GitHub
 from calibration.ci.workflow.runner import Annotation, Environment, PullRequestComments, Runner, Terminal
 
@@ -26,8 +25,7 @@ class Forgejo(GitHub):
 
     def announce_error(self, runner: Runner, message: str) -> None:
         """Set the output ``error``."""
-        with suppress(InfrastructureError):  # the error itself has been printed
-            self.set_outputs(runner, {"error": message})
+        Terminal.announce_error(self, runner, message)
 
     def comments(self, environment: Environment, token: str | None, api_url: str | None) -> PullRequestComments | None:
         """Return the comments on the pull request of the event; raises as `run_comments`, and without an address."""

@@ -6,12 +6,12 @@ https://docs.github.com/en/actions/reference/workflows-and-actions/workflow-comm
 import json
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self, TextIO
 
-from calibration.base.errors import InfrastructureError, InputError, brief
+from calibration.base.errors import InputError, brief
 from calibration.base.files import read_bytes
 from calibration.base.text import one_line, visible
 from calibration.ci.git import is_commit
@@ -203,8 +203,7 @@ class GitHub(Terminal):
     def announce_error(self, runner: Runner, message: str) -> None:
         """Print it as an annotation, and set the output ``error``."""
         runner.log(workflow_command("error", message))
-        with suppress(InfrastructureError):  # the error itself has been printed
-            self.set_outputs(runner, {"error": message})
+        super().announce_error(runner, message)
 
     def mask(self, runner: Runner, forms: Iterable[str]) -> None:
         """Mask each form by a command."""

@@ -7,11 +7,11 @@ import hashlib
 import json
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from calibration.base.errors import InfrastructureError, InputError, brief
+from calibration.base.errors import InputError, brief
 from calibration.base.files import read_bytes, writing
 from calibration.base.text import one_line, shorten, visible
 from calibration.ci.git import is_commit
@@ -108,11 +108,6 @@ class GitLab(Terminal):
         super().annotate(runner, found)
         if runner.findings_file is not None:
             add_to_code_quality(runner.findings_file, runner, found)
-
-    def announce_error(self, runner: Runner, message: str) -> None:
-        """Set the output ``error``."""
-        with suppress(InfrastructureError):  # the error itself has been printed
-            self.set_outputs(runner, {"error": message})
 
     def set_outputs(self, runner: Runner, values: Mapping[str, OutputValue]) -> None:
         """Write variables for later jobs, ``CALIBRATION_VERDICT=pass``; a value of several lines becomes one."""

@@ -9,12 +9,12 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TextIO, TypeAlias
 
-from calibration.base.errors import InputError, brief
+from calibration.base.errors import InfrastructureError, InputError, brief
 from calibration.base.files import writing
 from calibration.base.redaction import derived_forms
 from calibration.base.text import one_line
@@ -223,7 +223,9 @@ class Terminal:
         print("".join(f"{line}\n" for line in lines), end="", file=runner.stderr, flush=True)
 
     def announce_error(self, runner: "Runner", message: str) -> None:
-        """Announce the error that ends the command, which stands on stderr already."""
+        """Announce the error that ends the command, which stands on stderr already: by the output ``error``."""
+        with suppress(InfrastructureError):  # the error itself has been printed
+            self.set_outputs(runner, {"error": message})
 
     def mask(self, runner: "Runner", forms: Iterable[str]) -> None:
         """Hide every form of a secret in the log from now on.
