@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 from calibration.base.errors import ExitCode
+from calibration.base.files import temporary_folder
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import boolean_option, chosen, given, non_negative, path, record_options
@@ -22,13 +23,14 @@ OF_LIMITS = ("translation-mm", "rotation-deg", "projection-px", "guard-band")
 @boolean_option("--overwrite", help="Replace a dataset that the folder has.")
 @click.option("--idle", type=non_negative, help="End after so many seconds without a new image, too (Ctrl-C).")
 def command(recording: Path, output: Path | None, overwrite: bool, idle: float | None, **options: Any) -> ExitCode:
-    """Watch the images of a recording arrive: an import.yml that names their folders, or a folder that has it.
+    """Watch the images of a recording arrive: an import.yml that names their folders or a bag, or a folder that has it.
 
     Says of each image whether it is used and why not, the error bars so far, and what to record next; also on a page,
     watch.html beside import.yml. Exit code 1 if the used views cannot be calibrated at the end.
     """
     runner = Runner.from_environment()
     limits = chosen(Limits, options) if given(Limits, options, *OF_LIMITS) else Limits()
-    found = watch(WatchedRecording(recording, limits), runner, output, overwrite, idle)
+    with temporary_folder() as folder:
+        found = watch(WatchedRecording(recording, limits, folder), runner, output, overwrite, idle)
     publish(found, runner)
     return found.exit_code

@@ -11,7 +11,7 @@ from calibration.base.errors import CalibrationError, InputError
 from calibration.base.files import temporary_folder, write_atomically
 from calibration.base.process import Terminated
 from calibration.base.text import one_line
-from calibration.ci.pages.html import bullets, element, page, section, table
+from calibration.ci.pages.html import Html, bullets, element, page, section, table
 from calibration.ci.report import Lines, Report, Table, count_of
 from calibration.ci.workflow import Runner
 from calibration.engine.dataset.model import Dataset
@@ -25,7 +25,7 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
 from calibration.engine.next_pose.advice import next_poses
 from calibration.pipeline.next_poses import AdvisedPoses, described_advice
-from calibration.pipeline.page.label_residuals import poses_in_images
+from calibration.pipeline.page.label_residuals import poses_in_images, reduced_jpeg
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.document import Imported, dataset_document
 from calibration.robot.importing.files.pictures import Pictures, order_by_number
@@ -40,6 +40,7 @@ from calibration.robot.importing.importing import (
 from calibration.robot.importing.patterns.image_views import View
 from calibration.robot.importing.recorded import LEAST_VIEWS, imported_moments
 from calibration.robot.importing.watch.arrivals import Arrivals
+from calibration.robot.importing.watch.followed_bag import FollowedBag
 from calibration.robot.importing.watch.judging import ImageJudge, JudgedImage
 from calibration.robot.next_pose.candidates import candidates_of
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing
@@ -49,7 +50,8 @@ POLL_SECONDS = 0.1
 """From one look into the folders to the next; an image is taken when it has not changed for as long."""
 LATER_CALIBRATION = 1.05
 """Further views, relative to those of the last calibration, for the next: of many views one more changes nothing."""
-COVERED_COLUMNS = ("camera", "used", "covered parts of the image, row by row")
+COVERED_COLUMNS = ("camera", "used", "corners in the image")
+IMAGE_COLUMNS = ("image", "", "what was measured, or why it is not used")
 SHOWN_IMAGES = 30
 """Images on the page, the latest ones."""
 
@@ -73,26 +75,28 @@ class CalibratedSoFar:
 class WatchedRecording:
     """Recording that is being made: its images so far, and the calibration by them."""
 
-    def __init__(self, path: Path, limits: Limits) -> None:
+    def __init__(self, path: Path, limits: Limits, folder: Path) -> None:
         """Read the description of the recording.
 
         Args:
             path: import.yml, or a folder that has it.
             limits: those to be decided.
+            folder: for images that are taken from a bag.
 
         Raises:
-            InputError: it is missing or wrong, or has other sources than folders of images.
+            InputError: it is missing or wrong, or has other sources than folders of images, or a bag.
         """
         self.config, self.limits = _description_file(path), limits
         self.described = read_description(self.config)
         _check_sources(self.config, self.described)
         check_printed_patterns(self.config, self.described)
         self.lenses, self.models = described_lenses(self.config, self.described)
-        self.arrivals = Arrivals({each.name: each.images for each in self.described.sensors if each.images})
-        self.judge = ImageJudge(pattern_configurations(self.described), tuple(self.arrivals.places))
+        places = {each.name: each.images for each in self.described.sensors if each.images}
+        self.arrivals = Arrivals(places) if places else FollowedBag(self.described, self.lenses, folder)
+        self.judge = ImageJudge(pattern_configurations(self.described), tuple(places))
         self.images: list[str] = []
         """What was said of each image."""
-        self.used: dict[str, dict[Path, View]] = {name: {} for name in self.arrivals.places}
+        self.used: dict[str, dict[Path, View]] = {name: {} for name in places}
         """Used views by camera and file."""
         self.calibrated = CalibratedSoFar(fault="no view is used yet")
         self._views_of_calibration = 0
@@ -107,7 +111,7 @@ class WatchedRecording:
             if judged.view is None or judged.kind:
                 self.arrivals.refuse(arrival)
             else:
-                self.used[arrival.sensor][arrival.path] = judged.view
+                self.used.setdefault(arrival.sensor, {})[arrival.path] = judged.view
             self.images.append(self._line_of_image(judged))
             yield self.images[-1]
         if self.arrivals.faults != self._faults:
@@ -172,12 +176,15 @@ class WatchedRecording:
         Raises:
             InputError: images of the cameras do not belong together, or not to the samples.
         """
-        pictures = [
-            Pictures(name, self.arrivals.places[name], tuple(sorted(views, key=order_by_number)))
-            for name, views in self.used.items()
-        ]
-        views = {file: view for own in self.used.values() for file, view in own.items()}
-        recorded = recorded_views(self.described, self.lenses, pictures, views)
+        if isinstance(self.arrivals, FollowedBag):
+            recorded = self.arrivals.recorded(self.used)
+        else:
+            pictures = [
+                Pictures(name, self.arrivals.places[name], tuple(sorted(views, key=order_by_number)))
+                for name, views in self.used.items()
+            ]
+            views = {file: view for own in self.used.values() for file, view in own.items()}
+            recorded = recorded_views(self.described, self.lenses, pictures, views)
         robot = self.described.robot or self.config.resolve().parent.name
         return imported_moments(robot, replace(recorded, models=self.models))
 
@@ -195,15 +202,34 @@ class WatchedRecording:
         found = self.calibrated
         figures = []
         if found.poses is not None:
-            figures.append(poses_in_images(found.poses.found, found.poses.candidates.dataset, None))
+            images = {name: reduced_jpeg(list(views)[-1]) for name, views in self.used.items() if views}
+            figures.append(poses_in_images(found.poses.found, found.poses.candidates.dataset, None, images))
+        covered = [(name, count, _drawn_cells(cells)) for name, count, cells in self.covered]
+        images_so_far = [_row_of_image(line) for line in self.images[: -SHOWN_IMAGES - 1 : -1]]
         sections = [
             element("h1", f"{TITLE} {self.config.resolve().parent.name}"),
             section("Now", element("p", self.sentence)),
             section("Next", bullets(found.advice), *figures),
-            section("Covered", table(COVERED_COLUMNS, self.covered)),
-            section("Images", bullets(self.images[: -SHOWN_IMAGES - 1 : -1])),
+            section("Covered", table(COVERED_COLUMNS, covered)),
+            section("Images", table(IMAGE_COLUMNS, images_so_far)),
         ]
         return page(TITLE, sections, refresh=1)
+
+
+def _drawn_cells(coverage: str) -> Html:
+    """Return the parts of an image with corners and without, row by row."""
+    rows = (row.replace("x", "\u25a0").replace(".", "\u25a1") for row in coverage.split())
+    return element("span", *(each for row in rows for each in (row, element("br"))), class_="cells")
+
+
+def _row_of_image(line: str) -> tuple[str, str, str]:
+    """Return what was said of an image in columns."""
+    name, state, rest = line.split(": ", 2)
+    return (
+        name,
+        state if state == "used" else element("span", state, class_="undecided"),
+        rest.partition("; covered")[0],
+    )
 
 
 def _description_file(path: Path) -> Path:
@@ -218,11 +244,13 @@ def _description_file(path: Path) -> Path:
 
 
 def _check_sources(config: Path, described: ImportDescription) -> None:
-    if described.bags is not None or described.has_videos:
+    if described.has_videos:
         raise InputError(
-            f"{config}: found a bag or a video, which is not followed while it is written; expected folders of images: "
-            "let image_saver write them (docs/watch.md), or 'calibration look' at the recording afterwards"
+            f"{config}: found a video, which is not followed while it is written; expected folders of images (ffmpeg "
+            "writes them, docs/watch.md) or a bag; or 'calibration look' at the recording afterwards"
         )
+    if described.bags is not None:
+        return
     if others := [each.name for each in described.sensors if not each.images or each.clouds]:
         raise InputError(f"{config}: sensors/{others[0]}: found no folder of images, expected 'images' of each sensor")
 

@@ -73,6 +73,14 @@ def view_jpeg(given: Dataset | None, name: str, key: str) -> bytes | None:
         return None
     try:
         path = Path(locate(Node(given.path, (), given.document)["collections"][key]["data"][name]["data_file"]))
+    except (OSError, CalibrationError):
+        return None
+    return reduced_jpeg(path)
+
+
+def reduced_jpeg(path: Path) -> bytes | None:
+    """Return an image, reduced; None if it is not available, or OpenCV is needed and not installed."""
+    try:
         if not path.is_file():
             return None
         if path.stat().st_size <= MAX_UNCHANGED_BYTES and (data := path.read_bytes()).startswith(JPEG_MAGIC):
@@ -229,11 +237,20 @@ def pose_figures(advised: "AdvisedPoses", given: Dataset | None = None) -> Html:
     return join([over_images, space])
 
 
-def poses_in_images(found: NextPoses, dataset: Dataset, given: Dataset | None) -> Html:
-    """Return a figure for each camera: the outlines of the boards at the poses, with their numbers."""
+def poses_in_images(
+    found: NextPoses, dataset: Dataset, given: Dataset | None, images: Mapping[str, bytes | None] | None = None
+) -> Html:
+    """Return a figure for each camera: the outlines of the boards at the poses, with their numbers.
+
+    Args:
+        found: the poses.
+        dataset: the robot's cameras.
+        given: the recording, for an image of each camera.
+        images: these images, JPEG, by camera, where there is no recording yet.
+    """
     figures = [
         figure(
-            poses_in_image(found, name, (sensor.camera.width, sensor.camera.height), given),
+            poses_in_image(found, name, (sensor.camera.width, sensor.camera.height), given, (images or {}).get(name)),
             f"Where the board goes in the image of {name}, pose by pose.",
         )
         for name, sensor in dataset.sensors.items()
@@ -242,11 +259,14 @@ def poses_in_images(found: NextPoses, dataset: Dataset, given: Dataset | None) -
     return element("div", *figures, class_="figures") if figures else Html("")
 
 
-def poses_in_image(found: NextPoses, camera: str, size: tuple[int, int], given: Dataset | None) -> Html:
+def poses_in_image(
+    found: NextPoses, camera: str, size: tuple[int, int], given: Dataset | None, jpeg: bytes | None = None
+) -> Html:
     """Return the outlines of the boards at the poses, with their numbers, over an image of a camera if there is one."""
     scale = FIGURE_WIDTH / size[0]
     height = size[1] * scale
-    jpeg = next((image for key in given.keys if (image := view_jpeg(given, camera, key))), None) if given else None
+    if given is not None:
+        jpeg = next((image for key in given.keys if (image := view_jpeg(given, camera, key))), None)
     address = f"data:image/jpeg;base64,{b64encode(jpeg).decode('ascii')}" if jpeg else ""
     picture = element("image", href=address, width=FIGURE_WIDTH, height=height, opacity=0.5) if jpeg else Html("")
     frame = element("rect", x=0.5, y=0.5, width=FIGURE_WIDTH - 1, height=height - 1, class_="frame")

@@ -29,6 +29,7 @@ from calibration.robot.importing.bags.bag import Bag, open_bag
 from calibration.robot.importing.bags.motion import MotionLog, MovingBoards
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
 from calibration.robot.importing.bags.recordings import (
+    Mounting,
     SeenImages,
     chosen_moments,
     decoded_images,
@@ -42,7 +43,7 @@ from calibration.robot.importing.bags.recordings import (
     root_of,
 )
 from calibration.robot.importing.bags.stillness import BagMoment
-from calibration.robot.importing.bags.survey import survey
+from calibration.robot.importing.bags.survey import Survey, survey
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.cloud_files import CLOUD_ENDINGS, cloud_view
 from calibration.robot.importing.description import (
@@ -374,18 +375,70 @@ def _clouds_of_moment(moment: Moment, number: int, folder: Path, configuration: 
     return {name: cloud_view(file, folder / f"{name.replace('/', '_')}_{number}") for name, file in lidars.items()}
 
 
-def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
+@dataclass(frozen=True, eq=False)
+class SurveyedBag:
+    """Bag after its first pass: sensors, frames, and what has moved."""
+
+    described: ImportDescription
+    """With the root of its frames."""
+    patterns: Mapping[str, PatternConfiguration]
+    found: Survey
+    mounted: Mounting
+    lenses: Mapping[str, KnownLens]
+    """Those that are described."""
+
+    def recorded(self, moments: Sequence[BagMoment]) -> Recorded:
+        """Return the cameras' data of some moments, without image files."""
+        count, times = len(moments), [moment.time for moment in moments]
+        configuration, edges = self.mounted.configuration, self.mounted.edges
+        of_bag = {
+            name: KnownLens(self._first_file, camera.camera, has_size=True)
+            for name, camera in self.found.sensors.items()
+            if camera.camera is not None
+        }
+        given = _given_poses(self.described, configuration, count)
+        given = {edge: T for edge, T in given.items() if edge not in edges}
+        placed = {**self.mounted.transforms(self.found.log, times), **given}
+        placed = _with_known_patterns(placed, self.described, configuration)
+        return Recorded(
+            configuration,
+            {**of_bag, **self.lenses},
+            [LabelledMoment({name: image.view for name, image in moment.images.items()}) for moment in moments],
+            with_baselines(placed, configuration, self.lenses, (*edges, *given)),
+            rough=not edges,
+            lag=max(moment.lag for moment in moments),
+        )
+
+    @property
+    def _first_file(self) -> Path:
+        if self.described.bags is None:
+            raise AssertionError("it is of a bag")
+        return self.described.bags.files[0]
+
+
+def surveyed_bag(bag: Bag, described: ImportDescription, lenses: Mapping[str, KnownLens], where: str) -> SurveyedBag:
+    """Survey a bag, and place its sensors.
+
+    Args:
+        bag: the bag.
+        described: the import.
+        lenses: known intrinsics.
+        where: the bag, for messages.
+
+    Raises:
+        InputError: a topic or a frame is missing or wrong, see `survey` and `mounting`.
+    """
     found = survey(bag, described)
-    where = str(bags.files[0])
     root = root_of(described, found)
     patterns = pattern_configurations(described, root)
     described = replace(described, world=root)
-    mounted = mounting(described, patterns, found, where)
-    bag_lenses = {
-        name: KnownLens(bags.files[0], camera.camera, has_size=True)
-        for name, camera in found.sensors.items()
-        if camera.camera is not None
-    }
+    return SurveyedBag(described, patterns, found, mounting(described, patterns, found, where), lenses)
+
+
+def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
+    where = str(bags.files[0])
+    surveyed = surveyed_bag(bag, described, lenses, where)
+    patterns, found, mounted = surveyed.patterns, surveyed.found, surveyed.mounted
 
     def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
         images = images_by_camera(found, seen)
@@ -393,42 +446,16 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
             at = partial(image_at, bag, found.cameras[name].topic, reader=ImageReader(bag, found.key_frames))
             views, recorded = [image.view for image in own], [image.recorded for image in own]
             check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
-
-        def of_cameras(some: Sequence[BagMoment]) -> Recorded:
-            """Return the cameras' data of some moments, without image files."""
-            given = {
-                edge: T
-                for edge, T in _given_poses(described, mounted.configuration, len(some)).items()
-                if edge not in mounted.edges
-            }
-            return Recorded(
-                mounted.configuration,
-                {**bag_lenses, **lenses},
-                [LabelledMoment({name: image.view for name, image in moment.images.items()}) for moment in some],
-                with_baselines(
-                    _with_known_patterns(
-                        {**mounted.transforms(found.log, [moment.time for moment in some]), **given},
-                        described,
-                        mounted.configuration,
-                    ),
-                    mounted.configuration,
-                    lenses,
-                    (*mounted.edges, *given),
-                ),
-                rough=not mounted.edges,
-                lag=max(moment.lag for moment in some),
-            )
-
         rejected = images_without_pattern(found, images, found.log)
         every = chosen_moments(bags.moments, images, found.log, mounted.edges, where)
-        moments, evenly = best_moments(every, bags.moments.most, of_cameras)
+        moments, evenly = best_moments(every, bags.moments.most, surveyed.recorded)
         found.log.left_out.add(
             f"more than {bags.moments.most} moments ('most')", "moments", count=len(every) - len(moments)
         )
         motions = mounted.motions(found.log, [moment.time for moment in moments])
         boards = MovingBoards(images, moments, mounted.edges, motions)
         return replace(
-            of_cameras(moments),
+            surveyed.recorded(moments),
             motions=motions,
             moments=extracted_images(bag, found, moments, folder, jobs),
             boards=None if bags.moments.only_standstill else boards,

@@ -21,7 +21,10 @@ from calibration.pipeline.watching import WatchedRecording
 from calibration.robot.importing.watch import judging
 from calibration.robot.importing.watch.arrivals import Arrivals
 from calibration.robot.importing.watch.judging import tilt_of
-from tests.robot.importing.conftest import DATASETS, camera_info, change
+from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
+from tests.robot.importing.conftest import BOARD as PRINTED
+from tests.robot.importing.conftest import CAMERAS, DATASETS, FOCAL, camera_info, change
+from tests.robot.importing.test_bags import FRAMES
 
 BOARD = PatternConfiguration(
     "board", "charuco", "b", "w", False, (11, 8), 0.06, 0.045, (0, 0), "DICT_5X5_100"
@@ -43,7 +46,7 @@ def only_first(folder: Path) -> WatchedRecording:
         (folder / "left_camera" / f"{number}.jpg").rename(folder / f"{number}.jpg")
     shutil.rmtree(folder / "right_camera")
     change(folder, "sensors", "right_camera", to=None)
-    recording = WatchedRecording(folder, Limits())
+    recording = WatchedRecording(folder, Limits(), folder)
     assert ": used: " in lines_of(recording)[0]
     return recording
 
@@ -212,6 +215,52 @@ def test_an_arm_whose_poses_arrive_with_its_images(tmp_path: Path) -> None:
             shutil.copy(DATASETS / "riwbot" / f"rgb_world_{key}.jpg", tmp_path / "images" / f"{key}.jpg")
         return lines_of(recording)
 
-    recording = WatchedRecording(tmp_path, Limits())
+    recording = WatchedRecording(tmp_path, Limits(), tmp_path)
     assert "no calibration yet: " in arrive(2)[-1]
     assert any(line.startswith("9 collections: rgb_world") for line in arrive(9))
+
+
+def split_bag(folder: Path, kind: Kind, poses: int, files: int) -> list[Path]:
+    """Files of a bag of t2rgb's cameras, as a recorder splits it: an image of each a second."""
+    dataset = read_dataset(DATASETS / "t2rgb")
+    edges = {edge: T[0] for edge, T in dataset.transforms.items() if edge[1] != "pattern_link"}
+    made = []
+    for part, own in enumerate(np.array_split(np.arange(poses), files)):
+        path = folder / (f"made_{part}.bag" if kind == "bag" else f"made_{part}")
+        with BagFile(path, kind) as bag:
+            if part == 0:
+                bag.transforms("/tf_static", BEGIN, edges)
+            for n in own.tolist():
+                for camera in CAMERAS:
+                    image, frame = cv2.imread(str(DATASETS / "t2rgb" / f"{camera}_{n:03d}.jpg")), FRAMES[camera]
+                    bag.camera_info(f"/{camera}/camera_info", BEGIN + n * SECOND, frame, (640, 480), FOCAL)
+                    bag.image(f"/{camera}/image_raw", BEGIN + n * SECOND, np.asarray(image), frame, "jpeg")
+        made.append(path if kind == "bag" else next(path.glob(f"*.{kind}")))
+    return made
+
+
+@pytest.mark.thorough(but_first=1)
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag"])
+def test_a_bag_that_is_being_written(tmp_path: Path, kind: Kind) -> None:
+    """Each of its files is read once it is finished; frames and intrinsics are the bag's."""
+    first, second = split_bag(tmp_path, kind, 6, 2)
+    folder = tmp_path / "recorded"
+    (tmp_path / "import.yml").write_text(json.dumps({"bags": {"files": ["recorded"]}, "patterns": {"board": PRINTED}}))
+    recording = WatchedRecording(tmp_path, Limits(translation_mm=2.0), tmp_path)
+    assert ["waiting for it" in line for line in recording.next_lines()] == [True]
+    folder.mkdir()
+    shutil.copy(first, folder / first.name)
+    written = folder / second.name
+    written.write_bytes(second.read_bytes()[:5000])
+    lines = list(recording.next_lines())
+    assert [": used: " in line for line in lines[:6]] == [True] * 6
+    assert len(lines) == 7
+    assert "no calibration yet" in lines[-1]
+    assert list(recording.next_lines()) == []
+    shutil.copy(second, written)
+    os.utime(written, (time.time() - 10,) * 2)
+    lines = list(recording.next_lines())
+    assert lines[0].startswith("left_camera 3.00s.png: used: ")
+    assert any(line.startswith("6 collections: right_camera") for line in lines)
+    assert any(line.startswith("next: 1. hold the board") for line in lines)
+    assert list(recording.next_lines()) == []

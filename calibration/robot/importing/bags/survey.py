@@ -149,7 +149,7 @@ def survey(bag: Bag, described: ImportDescription) -> Survey:
     sensors = described.sensors or _at_least_one_camera(bag)
     for sensor in sensors:
         _check_topic(bag, sensor)
-    kinds = {sensor.name: _modality_of_topic(bag, sensor) for sensor in sensors}
+    kinds = {sensor.name: modality_of_topic(bag, sensor) for sensor in sensors}
     if not any(kind.has_corners for kind in kinds.values()):
         raise InputError(f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is")
     own = [sensor for sensor in sensors if sensor.intrinsics is None and kinds[sensor.name].has_intrinsics]
@@ -270,7 +270,7 @@ def _check_topic(bag: Bag, sensor: SensorDescription) -> None:
         )
 
 
-def _modality_of_topic(bag: Bag, sensor: SensorDescription) -> Modality:
+def modality_of_topic(bag: Bag, sensor: SensorDescription) -> Modality:
     """Return the modality by the type of its messages, and for images by the name of the topic."""
     kind = MODALITY_OF_MESSAGE[bag.topics[sensor.topic or ""]]
     if kind != RGB:

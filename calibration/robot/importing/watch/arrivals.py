@@ -59,7 +59,7 @@ class Arrivals:
 
     def is_gone(self, arrival: Arrival) -> bool:
         """Whether an image has vanished since; then it arrives anew when it is back."""
-        if gone := _state_of(str(arrival.path)) is None:
+        if gone := state_of(str(arrival.path)) is None:
             self._taken[arrival.sensor].discard(str(arrival.path))
         return gone
 
@@ -71,7 +71,7 @@ class Arrivals:
 
     def _written(self, sensor: str, names: list[str]) -> Iterator[Arrival]:
         for name in names:
-            state = _state_of(name)
+            state = state_of(name)
             if state is not None and state[0] and self._unfinished.get(name) == state:
                 self._taken[sensor].add(name)
                 del self._unfinished[name]
@@ -80,7 +80,7 @@ class Arrivals:
                 self._unfinished[name] = state
 
     def _written_again(self) -> Iterator[Arrival]:
-        changed = [name for name, each in self._refused.items() if _state_of(name) not in (None, each.state)]
+        changed = [name for name, each in self._refused.items() if state_of(name) not in (None, each.state)]
         for name in changed:
             yield from self._written(self._refused[name].sensor, [name])
             if name not in self._unfinished:
@@ -100,7 +100,7 @@ def _image_files(place: str) -> Iterator[str]:
         yield from (entry.path for entry in entries if entry.name.lower().endswith(IMAGE_ENDINGS))
 
 
-def _state_of(name: str) -> FileState | None:
+def state_of(name: str) -> FileState | None:
     """Return the state of a regular file; None if it is gone, or something else."""
     path = Path(name)
     try:

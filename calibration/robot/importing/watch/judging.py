@@ -64,8 +64,8 @@ class SeenByCamera:
 class ImageJudge:
     """Judge of the images of some cameras."""
 
-    def __init__(self, patterns: Mapping[str, PatternConfiguration], cameras: tuple[str, ...]) -> None:
-        """Create the detectors.
+    def __init__(self, patterns: Mapping[str, PatternConfiguration], cameras: tuple[str, ...] = ()) -> None:
+        """Create the detectors; cameras that are not named are added when their first image arrives.
 
         Raises:
             InputError: a pattern cannot be detected.
@@ -90,7 +90,7 @@ class ImageJudge:
         return Counter(self._kinds.values())
 
     def _judge(self, arrival: Arrival) -> JudgedImage:
-        image, seen = grey(read_image(arrival.path)), self.cameras[arrival.sensor]
+        image, seen = grey(read_image(arrival.path)), self.cameras.setdefault(arrival.sensor, SeenByCamera())
         view = view_of_image(image, str(arrival.path), self._detectors)
 
         def refused(kind: str, reason: str) -> JudgedImage:
