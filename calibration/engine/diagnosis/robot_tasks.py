@@ -49,18 +49,23 @@ class AtTask:
         return f"it makes {self.size:.3g} {task.unit} at task '{task.name}'{limit}"
 
 
-def worst_at_tasks(tasks: Sequence[TaskError], change: Array, errors: Array | None = None) -> AtTask:
-    """Return what a change (C,) of the parameters does to the task that it harms most.
+def worst_at_tasks(tasks: Sequence[TaskError], changes: Sequence[Array], errors: Sequence[Array] = ()) -> AtTask:
+    """Return what changes (C,) of the parameters, each by itself, do to the task that they harm most.
 
     Args:
         tasks: the tasks.
-        change: the change.
-        errors: (C, r) of it, independent ones, if they are known.
+        changes: the changes.
+        errors: (C, r) of each, independent ones.
     """
-    each = [AtTask(task, task.largest_change(change)) for task in tasks]
-    sure = each if errors is None else [AtTask(task, task.largest_change(change, errors)) for task in tasks]
-    over, broken = (tuple(a.error.task.name for a in of if a.error and _share_of_limit(a) > 1) for of in (each, sure))
+    each = [AtTask(task, max(task.largest_change(change) for change in changes)) for task in tasks]
+    sure = [
+        AtTask(task, max(task.largest_change(change, error) for change, error in zip(changes, errors, strict=True)))
+        for task in tasks
+        if errors
+    ]
     worst = max(each, key=_share_of_limit, default=AtTask())
+    over, broken = (tuple(a.error.task.name for a in of if a.error and _share_of_limit(a) > 1) for of in (each, sure))
+    broken = broken if errors else over
     return replace(worst, broken=broken, undecided=tuple(name for name in over if name not in broken))
 
 

@@ -195,7 +195,7 @@ def _finding_on_suspect(
         if any(unsure[sensor]):
             harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
     text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
-    at_task = worst_at_tasks(tasks, _change_by(calibration, [suspect]), _errors_of_change(calibration, suspect))
+    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]), _errors_of_changes(calibration, suspect))
     if over:
         text += f"; {harm} (limit {limit_of[sensor]}): {advice}"
     elif at_task.broken or at_task.undecided:
@@ -234,7 +234,7 @@ def _finding_on_cameras(
     camera = max(moved, key=lambda name: moved[name])
     model = calibration.dataset.sensors[camera].camera
     limit = projection_limit(model, limits) if model else 0.0
-    at_task = worst_at_tasks(tasks, _change_by(calibration, [suspect]))
+    at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]))
     red = moved[camera] > limit or bool(at_task.broken)
     names = " or ".join(dict.fromkeys(_name_cause(each.cause) for each in (suspect, *suspect.rivals)))
     text = (
@@ -363,26 +363,30 @@ def _moved_after(calibration: Calibration, suspect: Suspect) -> Array:
     return moved_by
 
 
-def _change_by(calibration: Calibration, suspects: Sequence[Suspect]) -> Array:
-    """Return the change (C,) of all columns of the model by suspects together, to how all is now: where a robot works.
+def _changes_by(calibration: Calibration, suspects: Sequence[Suspect]) -> list[Array]:
+    """Return the changes (C,) of all columns of the model by suspects together: to before, and to after a move.
 
-    Of what has moved, to where it is at the end of the recording.
+    Where few views are before it, to after it alone: these are of the past.
     """
     model = calibration.solution.model
-    change = np.zeros(model.total.shape[0])
+    both = np.zeros((2, model.total.shape[0]))
     for each in suspects:
-        change[: model.shared] += _moves_after(calibration, each)
-        change[columns_of_cause(model, each.cause)] += each.value
-    return change
+        both[:, : model.shared] += each.moves, _moves_after(calibration, each)
+        both[:, columns_of_cause(model, each.cause)] += each.value
+    return list(both[int(any(map(_is_of_the_past, suspects))) :])
 
 
-def _errors_of_change(calibration: Calibration, suspect: Suspect) -> Array:
-    """Return the errors (C, r) of the change of all columns by a suspect likewise."""
+def _is_of_the_past(suspect: Suspect) -> bool:
+    return suspect.since is not None and suspect.since < MIN_CLUSTERS_ON_A_SIDE
+
+
+def _errors_of_changes(calibration: Calibration, suspect: Suspect) -> list[Array]:
+    """Return the errors (C, r) of the changes of all columns by a suspect likewise."""
     model = calibration.solution.model
-    errors = np.zeros((model.total.shape[0], suspect.errors.shape[1]))
-    errors[: model.shared] = _moved_after(calibration, suspect) @ suspect.errors
-    errors[columns_of_cause(model, suspect.cause)] += suspect.errors
-    return errors
+    both = np.zeros((2, model.total.shape[0], suspect.errors.shape[1]))
+    both[:, : model.shared] = suspect.moved_by @ suspect.errors, _moved_after(calibration, suspect) @ suspect.errors
+    both[:, columns_of_cause(model, suspect.cause)] += suspect.errors
+    return list(both[int(_is_of_the_past(suspect)) :])
 
 
 def _find_failure_together(
@@ -399,7 +403,7 @@ def _find_failure_together(
     if len(suspects) < 2 or any(each.severity == "red" for each in findings):
         return []
     causes = ", ".join(_name_cause(each.cause) for each in suspects)
-    if (at_task := worst_at_tasks(tasks, _change_by(calibration, suspects))).broken:
+    if (at_task := worst_at_tasks(tasks, _changes_by(calibration, suspects)[-1:])).broken:
         text = f"{causes} do not fit: together {at_task}: {ADVICE_ON_CAUSE[suspects[0].cause.kind]}"
         return [Finding("suspect", "red", text, tasks=at_task.broken)]
     moved = _largest_moves(calibration, np.sum([each.moves for each in suspects], axis=0))

@@ -103,10 +103,10 @@ def test_a_change_that_is_no_larger_than_its_error_breaks_no_task(good: Calibrat
     [error] = task_errors(good, [replace(GRASP, limit_mm=1.0)])
     change = np.zeros(error.jacobian.shape[2])
     change[0] = 0.01  # of the camera's mount, m
-    assert worst_at_tasks([error], change, 0.1 * change[:, None]).broken == ("grasp",)
-    unsure = worst_at_tasks([error], change, change[:, None])
+    assert worst_at_tasks([error], [change], [0.1 * change[:, None]]).broken == ("grasp",)
+    unsure = worst_at_tasks([error], [change], [change[:, None]])
     assert (unsure.broken, unsure.undecided) == ((), ("grasp",))
-    assert worst_at_tasks([error], 0.01 * change, change[:, None]).undecided == ()
+    assert worst_at_tasks([error], [0.01 * change], [change[:, None]]).undecided == ()
 
 
 def test_collections_that_disagree_break_a_task_where_labels_are_too_noisy(good: Calibration) -> None:

@@ -8,7 +8,7 @@ import pytest
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.covariance.error_bars import scatter_of_clusters
+from calibration.engine.estimation.covariance.error_bars import beyond_average, scatter_of_clusters
 from calibration.engine.estimation.covariance.lens_errors import lens_errors
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
@@ -160,3 +160,11 @@ def test_changes_that_are_alike_in_a_row_add_up(alike: float, expected: float) -
         batches.append(len(shares))
     assert 0.75 * expected < np.mean(ratios) < 1.1 * expected
     assert np.median(batches) == K if alike == 0 else np.median(batches) <= K / 4
+
+
+def test_a_direction_in_which_clusters_disagree_more_than_on_average_counts_by_itself() -> None:
+    """What is beyond it is added there, and nothing elsewhere; nothing of what disagrees alike."""
+    turned, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(4, 4)))
+    columns = beyond_average(turned * [9.0, 1.0, 2.0, 0.5] @ turned.T, 3.0)
+    np.testing.assert_allclose(columns @ columns.T, 6.0 * np.outer(turned[:, 0], turned[:, 0]), atol=1e-12)
+    assert not beyond_average(3.0 * np.eye(4), 3.0).any()

@@ -91,7 +91,8 @@ class ErrorBars:
     """s: by sensor, total standard deviation of a calibrated lag."""
     sources: tuple[ErrorSource, ...]
     """What the total is made of. Of two blocks whose collections disagree, that part is taken to be as correlated as
-    the labels' noise is."""
+    the labels' noise is. Where they disagree along one direction by more than on average, that is added: a task may ask
+    for just that one."""
 
 
 def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
@@ -111,7 +112,7 @@ def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
     shares = root.T @ model.G[:, free[:, None], free] @ root  # (K, F, F): of each cluster in the total information
     leverages = np.einsum("kii->k", shares)
     scatter, batches = scatter_of_clusters(shares, model.g[:, free] @ root)
-    clustered = root @ scatter @ root.T
+    clustered, average = root @ scatter @ root.T, 1.0
     moves = -C @ T[free]  # by a unit of each column
     poses = [at for block, at in blocks.items() if isinstance(problem.blocks[block].parameters, Pose)]
     squares = np.stack([(moves[at][:3] ** 2).sum(0) for at in poses] or [np.zeros(len(T))])
@@ -134,8 +135,10 @@ def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
     disagreement = np.zeros(len(free))  # variance of each parameter by it, over that by the labels
 
     def bars(at: slice) -> tuple[Array, Array]:
+        nonlocal average
         own = C[at, at]
         factor = max(1.0, float(np.trace(np.linalg.solve(own, clustered[at, at]))) / len(own))
+        average = max(average, factor)
         if factor > MIN_CONTRADICTING_FACTOR or len(batches) < len(shares):
             factor *= _for_few_clusters(root[at] @ batches @ root[at].T, own)
         disagreement[at] = factor - 1
@@ -153,7 +156,8 @@ def error_bars(model: LinearModel, problem: Problem) -> ErrorBars:
     }
     effective = float(leverages.sum() ** 2 / (leverages**2).sum())
     decisive = float(np.linalg.eigvalsh(shares).max())
-    apart = _placed_rows(np.sqrt(disagreement)[:, None] * root, free, len(T))
+    apart = np.concatenate([np.sqrt(disagreement)[:, None] * root, root @ beyond_average(scatter, average)], 1)
+    apart = _placed_rows(apart, free, len(T))
     sources.insert(1, ErrorSource("collections", "collections", apart))
     return ErrorBars(labels, expected, total, effective, decisive, worth, held, lags, tuple(sources))
 
@@ -193,6 +197,20 @@ def scatter_of_clusters(shares: Array, pulls: Array) -> tuple[Array, Array]:
         shares, pulls = np.add.reduceat(shares, starts), np.add.reduceat(pulls, starts)
         changes, least = _changes_by_cluster(shares, pulls), 0.0
     return changes.T @ changes, shares
+
+
+def beyond_average(scatter: Array, average: float) -> Array:
+    """Return independent errors (F, F) of standardised parameters by what clusters disagree beyond the average.
+
+    One factor for all directions is right for the size of a whole pose. What moved between two images, or a lens beyond
+    its model, does not err alike in all of them.
+
+    Args:
+        scatter: (F, F), as of `scatter_of_clusters`.
+        average: variance by it that is counted in each direction, in that of the labels' noise.
+    """
+    values, axes = np.linalg.eigh(scatter)
+    return np.asarray(axes * np.sqrt(np.maximum(values - average, 0.0)))
 
 
 def _changes_by_cluster(shares: Array, pulls: Array) -> Array:

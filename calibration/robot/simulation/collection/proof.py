@@ -135,7 +135,7 @@ def _error_in_sigmas(found: Calibration, truth: Truth) -> tuple[float | None, fl
     is F-distributed with 6 and as many degrees of freedom as there are effective collections, less one.
     """
     true, bars = with_true_values(found.dataset, truth), found.error_bars
-    agree = bars is None or not any(source.columns.any() for source in bars.sources if source.kind == "collections")
+    agree = bars is None or all(np.array_equal(bars.total[block], each) for block, each in bars.expected.items())
     freedom = MOST_FREEDOM if agree or bars is None else max(bars.effective_collections - 1, 1.0)
     gauge = found.dataset.sensors[found.gauge].frame if found.gauge else None
     squares = []
