@@ -182,7 +182,7 @@ def poses_to_limit(begun: Begun) -> tuple[float, float, float] | None:
     orders = [random.permutation(len(information))[:MAX_TAKEN] for _ in range(RANDOM_ORDERS)]
     curves = np.array([_sizes_along(knowledge, information, goal, order) for order in orders])
     wanted = float(np.median(curves[:, int(random.integers(*HARD))]))
-    if wanted >= float(np.sqrt(knowledge.variances(goal.rows).sum())):
+    if wanted >= float(np.sqrt(knowledge.variances(goal.rows[0]).sum())):
         return None  # of what is held, no pose mends anything
     at_random = [int(np.argmax(curve <= wanted)) + 1 if (curve <= wanted).any() else MAX_TAKEN for curve in curves]
     sought = PoseAdvisor(knowledge, (replace(goal, wanted=wanted),), information)
@@ -192,18 +192,18 @@ def poses_to_limit(begun: Begun) -> tuple[float, float, float] | None:
 
 def _sizes_along(knowledge: Knowledge, information: Array, goal: Goal, order: IntArray) -> Array:
     added = np.cumsum(information[order], axis=0)
-    return np.asarray(np.sqrt(knowledge.variances(goal.rows, added).sum(-1)))
+    return np.asarray(np.sqrt(knowledge.variances(goal.rows[0], added).sum(-1)))
 
 
 def _by_pairs(knowledge: Knowledge, information: Array, goal: Goal, wanted: float) -> int:
     """Poses if at each step the best of all pairs is taken: of a single one where that is enough."""
     for taken in range(0, MAX_TAKEN, 2):
-        alone = np.sqrt(knowledge.variances(goal.rows, information).sum(-1))
+        alone = np.sqrt(knowledge.variances(goal.rows[0], information).sum(-1))
         if alone.min() <= wanted:
             return taken + 1
         i, j = np.triu_indices(len(information), 1)
         sums = np.concatenate(
-            [knowledge.variances(goal.rows, information[a] + information[b]).sum(-1) for a, b in _parts(i, j)]
+            [knowledge.variances(goal.rows[0], information[a] + information[b]).sum(-1) for a, b in _parts(i, j)]
         )
         best = int(sums.argmin())
         if np.sqrt(sums[best]) <= wanted:
@@ -265,7 +265,7 @@ def _judge(full: Calibration, start: IntArray, others: IntArray, goal: Goal) -> 
     own = replace(judge, information=judge.information - each.sum(0) + each[start].sum(0))
 
     def size(which: Sequence[int]) -> float:
-        return float(np.sqrt(own.variances(goal.rows, each[others[list(which)]].sum(0)[None]).sum()))
+        return float(np.sqrt(own.variances(goal.rows[0], each[others[list(which)]].sum(0)[None]).sum()))
 
     return size
 

@@ -121,8 +121,9 @@ def _describe_unsure(error: TaskError, limit: float, found: Sequence[Finding], i
     elif held_alone(error) > limit:
         what = next(IN_WORDS[kind] for kind in parts if kind not in BY_RECORDING)
         remedy = (
-            f"no more collections can make it hold: what is held alone makes {held_alone(error):.2g} {unit}, most of "
-            f"it the {what}: calibrate it, or state under 'assume' how well it is known"
+            f"no more collections like these can make it hold: with them what is held alone makes "
+            f"{held_alone(error):.2g} {unit}, most of it the {what}: take other poses, calibrate it, or state under "
+            "'assume' how well it is known"
         )
     else:
         remedy = ADVICE_TO_ADD

@@ -128,9 +128,13 @@ class PoseAdvisor:
         """Return the sizes (M, g) of the goals' errors, by what each candidate adds."""
         if not self.goals:
             return np.zeros((1 if more is None else len(more), 0))
-        starts = np.cumsum([0, *(len(goal.rows) for goal in self.goals[:-1])])
-        variances = knowledge.variances(np.concatenate([goal.rows for goal in self.goals]), more)
-        return np.sqrt(np.add.reduceat(variances, starts, axis=1))
+        shapes = [goal.rows.shape[:2] for goal in self.goals]
+        variances = knowledge.variances(
+            np.concatenate([goal.rows.reshape(-1, goal.rows.shape[-1]) for goal in self.goals]), more
+        )
+        own = np.split(variances, np.cumsum([p * r for p, r in shapes])[:-1], axis=1)
+        squares = [each.reshape(-1, *shape).sum(-1).max(-1) for each, shape in zip(own, shapes, strict=True)]
+        return np.asarray(np.sqrt(np.stack(squares, 1)))
 
     def _still_to_go(self, sizes: Array) -> Array:
         """Return what is left to do (M,): the mean square of the goals in what is wanted of each, 1 once it is reached.
@@ -145,8 +149,9 @@ class PoseAdvisor:
         """Return by cause its share in the variance of the goal that is farthest from what is wanted."""
         sizes = self._sizes(knowledge)[0]
         goal = self.goals[int(np.argmax(sizes / np.array([each.wanted for each in self.goals])))]
-        total = float(knowledge.variances(goal.rows).sum())
-        parts = {name: float(part.sum()) / total for name, part in knowledge.held_parts(goal.rows).items()}
+        rows = max(goal.rows, key=lambda point: float(knowledge.variances(point).sum()))
+        total = float(knowledge.variances(rows).sum())
+        parts = {name: float(part.sum()) / total for name, part in knowledge.held_parts(rows).items()}
         return {n: p for n, p in sorted(parts.items(), key=lambda each: -each[1]) if p > MIN_NAMED_SHARE}
 
 

@@ -14,6 +14,8 @@ from calibration.engine.tasks.task_errors import TaskError
 
 MIN_WANTED = 1e-9
 """mm, deg: least of what is wanted of an error; a limit may be 0."""
+MAX_POINTS = 16
+"""Points of a task that are looked at."""
 _UNITS: tuple[tuple[TaskUnit, str, float], ...] = (("mm", "m", 1e3), ("deg", "rad", 180 / np.pi))
 """Of limits, of the parameters, and their ratio."""
 
@@ -26,8 +28,9 @@ class Goal:
     """Sensor, joint or task."""
     unit: TaskUnit
     rows: Array
-    """(r, F + H): its derivatives by the parameters of `Knowledge`, in its unit. Its size is the root of the sum of
-    their variances: a standard deviation, or of a task the error that 95 % stay below."""
+    """(p, r, F + H): its derivatives by the parameters of `Knowledge`, in its unit, at p points of a task, else at one.
+    Its size is the root of the sum of their variances at the worst point: a standard deviation, or of a task the error
+    that 95 % stay below."""
     wanted: float
     """Size at which its limit holds, in its unit."""
     limit: float
@@ -72,14 +75,16 @@ def _goals_of_block(
     for limit, (unit, parameter, scale) in zip(most, _UNITS, strict=True):
         own = np.arange(at.start, at.stop)[[each == parameter for each in units]]
         if np.isfinite(limit) and len(own) and guard:
-            rows = np.zeros((len(own), len(knowledge.columns)))
-            rows[np.arange(len(own)), own] = scale
+            rows = np.zeros((1, len(own), len(knowledge.columns)))
+            rows[0, np.arange(len(own)), own] = scale
             yield Goal(name, unit, rows, max(limit / guard, MIN_WANTED), limit)
 
 
 def _goal_of_task(error: TaskError, limit: float, knowledge: Knowledge) -> Goal:
-    """Return the goal at the task's worst point, where the shape of its error is taken to stay."""
-    rows = error.jacobian[error.worst][:, knowledge.columns]
-    size = float(np.sqrt(knowledge.variances(rows).sum()))
-    most = float(error.most[error.worst])
-    return Goal(error.task.name, error.task.unit, rows * (most / size if size > 0 else 1.0), limit, limit)
+    """Return the goal at some of a task's points, the worst one among them; the shape of its error is taken to stay."""
+    some = np.linspace(0, len(error.most) - 1, MAX_POINTS - 1).round().astype(int)
+    points = np.unique([error.worst, *some.tolist()])
+    rows = error.jacobian[points][:, :, knowledge.columns]
+    sizes = np.sqrt(knowledge.variances(rows.reshape(-1, rows.shape[-1]))[0].reshape(rows.shape[:2]).sum(1))
+    scales = np.divide(error.most[points], sizes, out=np.ones(len(points)), where=sizes > 0)
+    return Goal(error.task.name, error.task.unit, rows * scales[:, None, None], limit, limit)

@@ -51,7 +51,9 @@ class PlacedTask:
     frame: str
     """F, in which the error counts."""
     collections: IntArray
-    """(V,): the poses, by the indices of their collections, see `at_work`."""
+    """(V,): the poses, by the indices of their collections,"""
+    work: Dataset
+    """and the dataset at these, see `at_work`."""
     points: Array
     """(V, P, 3): in F, m."""
     seen: BoolArray
@@ -163,7 +165,7 @@ def place_task(dataset: Dataset, task: RobotTask, gauge: str | None = None) -> P
             "that the camera sees, x right, y down, z forward in its own frame",
         )
     spread_over = "" if pixels is None else cameras[0].name
-    return PlacedTask(task, frame, collections, placed, seen, pixels, spread_over)
+    return PlacedTask(task, frame, collections, work, placed, seen, pixels, spread_over)
 
 
 def _fault(task: RobotTask, key: str, text: str) -> InputError:
@@ -387,7 +389,7 @@ def _measured_displacement(columns: "TaskColumns", sensors: Sequence[Sensor]) ->
             sides.append(along @ columns.displacement(first.frame))
     H = np.concatenate(rows, 1)
     back = np.swapaxes(H, 1, 2)
-    return np.asarray(np.linalg.solve(back @ H, back @ np.concatenate(sides, 1)), float)
+    return np.asarray((np.linalg.inv(back @ H) @ back) @ np.concatenate(sides, 1), float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,11 +399,6 @@ class TaskColumns:
     solution: Solution
     placed: PlacedTask
 
-    @cached_property
-    def _work(self) -> Dataset:
-        """The calibrated dataset at the V poses at which the robot is looked at."""
-        return at_work(self.solution.dataset, self.placed.task, self.placed.collections)
-
     @property
     def count(self) -> int:
         """C."""
@@ -410,7 +407,7 @@ class TaskColumns:
 
     def displacement(self, end: str) -> Array:
         """Return the displacement (n, 3, C) in F of points that a frame carries, by the transforms between."""
-        placed, work = self.placed, self._work
+        placed, work = self.placed, self.placed.work
         chain = chain_along(work, work.tree.path(placed.frame, end), np.arange(len(placed.collections)))
         elsewhere = None if placed.task.work_poses is None else work
         chain = replace(chain, collections=placed.collections, elsewhere=elsewhere)
@@ -420,13 +417,15 @@ class TaskColumns:
         pose, _ = placed.at
         R = chain.T[pose, :3, :3]
         p = np.einsum("nji,nj->ni", R, placed.places - chain.T[pose, :3, 3])
-        by_turn = -rotations.hat(p) @ twists[pose, 3:]
-        return np.asarray(R @ (twists[pose, :3] + by_turn))
+        carried = np.concatenate([R, -R @ rotations.hat(p)], -1)  # (n, 3, 6): displacements by a twist
+        if len(twists) == 1:  # one product for all points, which is faster
+            return np.asarray((carried.reshape(-1, 6) @ twists[0]).reshape(len(pose), 3, -1))
+        return np.asarray(carried @ twists[pose])
 
     def _twists(self, chain: Chain) -> Iterator[tuple[slice, Array]]:
         """Yield the twists (V, 6, k) of a chain's pose by the parameters of transforms, calibrated and held."""
         solution = self.solution
-        problem, work = solution.setup.problem, self._work
+        problem, work = solution.setup.problem, self.placed.work
         joints = {joint.edge: joint for joint in work.joints.values()}
         centres = {pattern.edge: adjoint(translation(pattern.centre)) for pattern in work.patterns.values()}
         for block, at in problem.shared_parameters.items():
@@ -449,7 +448,7 @@ class TaskColumns:
     def _in_sensor(self, sensor: Sensor) -> tuple[Array, Array]:
         """Return ``R_F_sensor`` (n, 3, 3), and the points (n, 3) in the sensor's frame."""
         placed, (pose, _) = self.placed, self.placed.at
-        T = self._work.transform(placed.frame, sensor.frame)[pose]
+        T = placed.work.transform(placed.frame, sensor.frame)[pose]
         R = T[:, :3, :3]
         return R, np.einsum("nji,nj->ni", R, placed.places - T[:, :3, 3])
 
@@ -492,7 +491,8 @@ class TaskColumns:
                 for label, weight in combination.items():
                     if label in rows:
                         weights[rows[label], column] = weight
-        return np.asarray(effects @ weights)
+        n, m, _ = effects.shape
+        return np.asarray((effects.reshape(n * m, -1) @ weights).reshape(n, m, -1))
 
 
 def _known_camera(sensor: Sensor) -> Camera:

@@ -67,7 +67,7 @@ def test_a_limit_that_the_error_bar_reaches_over_is_undecided(good: Calibration)
     assert holds == []
     assert [(each.severity, each.tasks, each.unit) for each in tight] == [("undecided", ("grasp",), "mm")]
     assert tight[0].value == pytest.approx(most)
-    assert "no more collections can make it hold" in impossible[0].text
+    assert "no more collections like these can make it hold" in impossible[0].text
 
 
 def test_a_task_without_a_limit_asks_nothing(good: Calibration, wrong: Calibration) -> None:

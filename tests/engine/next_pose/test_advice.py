@@ -15,6 +15,8 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.engine.next_pose.advice import PoseAdvisor, next_poses, pose_advisor
 from calibration.engine.next_pose.knowledge import knowledge_of
+from calibration.engine.tasks.robot_task import RobotTask
+from calibration.engine.tasks.task_errors import task_errors
 
 DATASETS = Path(__file__).resolve().parents[3] / "datasets"
 SYSTEMS = ("t2rgb", "riwbot", "rlbot", "softbot", "spjbot")
@@ -73,13 +75,32 @@ def test_what_is_promised_is_reached(system: str) -> None:
     assert stated(few)
 
 
+@pytest.mark.parametrize(
+    ("system", "task"),
+    [
+        ("spjbot", RobotTask("grasp", seen_by=("rgb_hand",), frame="end_effector_link", distance=0.6, limit_mm=0.1)),
+        ("riwbot", RobotTask("grasp", seen_by=("rgb_world",), frame="base_link", distance=1.0, limit_mm=0.1)),
+    ],
+)
+def test_what_is_promised_at_a_task_is_reached_at_its_worst_point(system: str, task: RobotTask) -> None:
+    """Which is another one by then."""
+    few, dataset = begun(system)[0], whole(system).dataset
+    others = dataset.with_collections(range(FIRST, len(dataset.collections)))
+    advice = next_poses(few, others, Limits(by_tasks=True), task_errors(few, [task]), 4)
+    chosen = [FIRST + pose.candidate for pose in advice.poses]
+    both = calibrate(dataset.with_collections([*range(FIRST), *chosen]), Options(loss="linear"))
+    [reached] = task_errors(both, [task])
+    assert [goal.name for goal in advice.goals] == ["grasp"]
+    assert 0.75 < advice.poses[-1].sizes[0] / reached.most.max() < 1.33
+
+
 def test_the_first_pose_is_the_best_of_all() -> None:
     """Of the only goal: no other candidate leaves a smaller error."""
     _, advisor = begun("t2rgb", exact=True)
     first = advisor.advise(1).poses[0]
     (goal,) = advisor.goals
     alone = [
-        float(np.sqrt(advisor.knowledge.with_views(each).variances(goal.rows).sum())) for each in advisor.candidates
+        float(np.sqrt(advisor.knowledge.with_views(each).variances(goal.rows[0]).sum())) for each in advisor.candidates
     ]
     assert first.candidate == int(np.argmin(alone))
     assert first.sizes[0] == pytest.approx(min(alone))
