@@ -85,7 +85,7 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
                 assert given <= known
                 assert "INPUT_PYTHON" in given
     steps = {"plan-matrix", "build-image", "calibrate-matrix", "run", "coverage-upload", "gather-results", "comment"}
-    steps |= {"static-analysis", "deliver"}
+    steps |= {"static-analysis", "check", "deliver"}
     assert started == steps
 
 
@@ -100,7 +100,15 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
     verdict = JOBS["verdict"]
     assert set(verdict["needs"]) == set(JOBS) - {"verdict", "comment", "promote", "deliver"}
     assert verdict["if"] == "${{ always() }}"
-    assert set(WorkflowPlan().jobs) == set(JOBS) - {"plan", "coverage", "verdict", "comment", "promote", "deliver"}
+    assert set(WorkflowPlan().jobs) == set(JOBS) - {
+        "plan",
+        "check",
+        "coverage",
+        "verdict",
+        "comment",
+        "promote",
+        "deliver",
+    }
     [told] = [step["env"]["INPUT_NEEDS"] for step in verdict["steps"] if "INPUT_NEEDS" in step.get("env", {})]
     needs = parse_needs(re.sub(r"\$\{\{ toJSON\(needs\.([\w-]+)\..*?\) \}\}", r'"\1"', told))
     assert dict(needs.results) == {job: job for job in verdict["needs"]}
@@ -115,7 +123,7 @@ def test_the_verdict_waits_for_every_job_and_is_never_skipped() -> None:
 def test_no_call_gathers_what_another_one_left() -> None:
     """Whatever their names, of those that plan-matrix takes, and a job's slug are."""
     steps = [step["with"] for job in JOBS.values() for step in job["steps"] if "artifact@" in step.get("uses", "")]
-    assert len(steps) == 23
+    assert len(steps) == 24
 
     def names(key: str, call: str) -> list[str]:
         texts = [step[key] for step in steps if key in step]
@@ -220,6 +228,7 @@ def test_jobs_have_the_time_that_the_caller_gives_their_kind() -> None:
         "collect-data-in-containers": "${{ inputs.collect-timeout-minutes || inputs.timeout-minutes }}",
         "test-image": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
         "check-messages": "${{ inputs.timeout-minutes }}",
+        "check": "${{ inputs.timeout-minutes }}",
         "unit-tests": "${{ inputs.tests-timeout-minutes || inputs.timeout-minutes }}",
         "static-analysis": "${{ inputs.timeout-minutes }}",
     }
@@ -251,7 +260,7 @@ def test_permissions_are_small() -> None:
 
 def test_a_job_with_the_least_permissions_has_no_secret_but_the_one_that_reads_the_suite() -> None:
     code = "unit-tests", "static-analysis"
-    for name in ("calibrate", "calibrate-collected", "collect-data", "check-messages", *code, "verdict"):
+    for name in ("calibrate", "calibrate-collected", "collect-data", "check-messages", "check", *code, "verdict"):
         assert JOBS[name]["permissions"] == {"contents": "read"}
         text = str([step for step in JOBS[name]["steps"] if step.get("name") != "Calibrate"])
         assert set(re.findall(r"secrets\.([\w-]+)", text)) <= {"suite-token"}, name

@@ -15,7 +15,7 @@ from calibration.ci.report import Table
 from calibration.pipeline.distribution.plan import WorkflowPlan
 
 JOB_SUCCESS = "success"
-UNPLANNED_JOBS = ("coverage",)
+UNPLANNED_JOBS = ("check", "coverage")
 """Jobs that plan-matrix does not plan, as other inputs of the workflow control them."""
 SECONDS_OUTPUT = "seconds"
 """Output with the duration, of a job without a matrix."""

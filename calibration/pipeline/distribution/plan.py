@@ -34,7 +34,7 @@ MAX_BYTES_IN_ONE_JOB = 60_000_000
 """Limit, in bytes of dataset.json, of all labels in a job with all noises: our engine reads and calibrates a
 megabyte in 0.1 to 0.3 s on one core, on GitHub's machines in less than a second.
 """
-COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS = "collected-data", "unit-tests", "static-analysis"
+COLLECTED_DATA, UNIT_TESTS, STATIC_ANALYSIS, CHECK = "collected-data", "unit-tests", "static-analysis", "check"
 """Slugs of the artifacts of these jobs."""
 MAX_MINUTE_RATE = 1000.0
 """Limit of the price of a minute, in any currency, to find typing errors."""
@@ -286,7 +286,7 @@ def _planned_cells(
             f"{len(noise.rotations)} rotation noises), GitHub takes {MAX_JOBS}: {advice}"
         )
     names = [_name_of_job(system.name, t, r) for system, t, r in pairs]
-    taken = (PLAN_SLUG, COLLECTED_DATA, *STAGE_OF_JOB, UNIT_TESTS, STATIC_ANALYSIS)
+    taken = (PLAN_SLUG, COLLECTED_DATA, *STAGE_OF_JOB, UNIT_TESTS, STATIC_ANALYSIS, CHECK)
     found = slugs([name.replace(", ", "_").replace(" ", "") for name in names], taken)
     return tuple(
         JobCell(
