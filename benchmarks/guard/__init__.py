@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from benchmarks.guard import lidars, witnessed
+from benchmarks.guard import edges, lidars, witnessed
 from benchmarks.guard.clips import Clip, Displacement, Disturbances, Room, as_recorded, camera_of_room
 from benchmarks.rows import Bar, Row
 from calibration.addons.guard.fixed_check import check_fixed_camera
@@ -69,6 +69,7 @@ def measure(quick: bool) -> Iterator[Row]:
     yield from _time_of_two_minutes()
     yield from witnessed.measure(quick)
     yield from lidars.measure(quick)
+    yield from edges.measure(quick)
 
 
 def reference_of(room: Room, seed: int) -> KeptCamera:

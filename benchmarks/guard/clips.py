@@ -14,11 +14,13 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.guard.room import Rectangle, draw
 from calibration.addons.guard.recording import CameraImages
 from calibration.base.arrays import Array
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, PlumbBob
+from calibration.engine.geometry.transforms import transform
 from calibration.robot.labelling.detection import Image
 
 WIDTH, HEIGHT = 640, 480
@@ -67,20 +69,6 @@ class Disturbances:
 
 
 @dataclass(frozen=True)
-class Rectangle:
-    """Textured rectangle: a corner and its two sides, m, in the frame of the camera as accepted."""
-
-    corner: Array
-    sides: Array
-    texture: Image
-
-    @property
-    def distance(self) -> float:
-        """Distance of its centre."""
-        return float(np.linalg.norm(self.corner + self.sides.sum(0) / 2))
-
-
-@dataclass(frozen=True)
 class Room:
     """Room, as its seed draws it."""
 
@@ -100,14 +88,14 @@ class Room:
             ((-half, low, 0.3), ((2 * half, 0, 0), (0, 0, depth - 0.3))),
             ((-half, -high, depth), ((2 * half, 0, 0), (0, 0, 0.3 - depth))),
         ]
-        found = [Rectangle(np.array(c), np.array(s, float), _drawn_texture(random, 900)) for c, s in walls]
+        found = [Rectangle(np.array(c), np.array(s, float), drawn_texture(random, 900)) for c, s in walls]
         for _ in range(random.integers(6, 13)):
             z = random.uniform(1.2, depth - 0.2)
             size = random.uniform(0.15, 0.5, 2)
             turned = rotations.exp(random.uniform(-0.6, 0.6, 3))
             sides = (turned @ np.array([[size[0], 0, 0], [0, -size[1], 0]]).T).T
             x, y = random.uniform(-0.5, 0.5) * z, random.uniform(-0.35, 0.4) * z
-            found.append(Rectangle(np.array([x, y, z]), sides, _drawn_texture(random, 300)))
+            found.append(Rectangle(np.array([x, y, z]), sides, drawn_texture(random, 300)))
         return cls(sorted(found, key=lambda each: -each.distance), camera or camera_of_room())
 
     def with_moved_objects(self, number: int, random: np.random.Generator) -> "Room":
@@ -120,14 +108,12 @@ class Room:
 
     def seen(self, moved: Displacement) -> Array:
         """Return what a camera sees (H, W), grey, float32."""
-        R = rotations.exp(np.radians(moved.rotation_deg))
+        T = transform(rotations.exp(np.radians(moved.rotation_deg)), np.array(moved.translation_m))
         K = np.array(
             [[RAW * FOCAL, 0, RAW * (WIDTH / 2 + BORDER)], [0, RAW * FOCAL, RAW * (HEIGHT / 2 + BORDER)], [0, 0, 1]]
         )
-        size = (RAW * (WIDTH + 2 * BORDER), RAW * (HEIGHT + 2 * BORDER))
-        canvas = np.full((size[1], size[0]), 90, np.uint8)
-        for each in self.rectangles:
-            _draw_rectangle(canvas, each, R, np.array(moved.translation_m), K, size)
+        canvas = np.full((RAW * (HEIGHT + 2 * BORDER), RAW * (WIDTH + 2 * BORDER)), 90, np.uint8)
+        draw(canvas, self.rectangles, T, K)
         at = _lens_map(type(self.camera.distortion), tuple(self.camera.intrinsics.tolist()), moved.zoom)
         image = cv2.remap(canvas, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
         image = cv2.GaussianBlur(image, (0, 0), RAW * math.hypot(0.6, moved.blur_px))
@@ -144,21 +130,7 @@ def _lens_map(lens: type[Distortion], intrinsics: tuple[float, ...], zoom: float
     return np.asarray(drawn, np.float32)
 
 
-def _draw_rectangle(canvas: Image, thing: Rectangle, R: Array, moved: Array, K: Array, size: tuple[int, int]) -> None:
-    """Draw the part of a rectangle that is in front of the camera."""
-    height, width = thing.texture.shape
-    plane = np.stack([thing.sides[0] / width, thing.sides[1] / height, thing.corner], 1)
-    in_camera = R.T @ (plane - np.stack([np.zeros(3), np.zeros(3), moved], 1))
-    x, y = np.meshgrid([0.0, width], [0.0, height])
-    if (in_camera[2] @ np.stack([x.ravel(), y.ravel(), np.ones(4)]) < 0.05).any():
-        return
-    H = K @ in_camera
-    drawn = cv2.warpPerspective(thing.texture, H, size, flags=cv2.INTER_LINEAR)
-    mask = cv2.warpPerspective(np.full_like(thing.texture, 255), H, size, flags=cv2.INTER_NEAREST)
-    np.copyto(canvas, drawn, where=mask > 0)
-
-
-def _drawn_texture(random: np.random.Generator, side: int) -> Image:
+def drawn_texture(random: np.random.Generator, side: int) -> Image:
     """Draw a texture (side, side): noise of several sizes, and shapes as posters, doors and shelves have."""
     texture = np.full((side, side), random.uniform(60, 190), np.float32)
     for scale in (4, 12, 40):
@@ -234,7 +206,7 @@ class _Walker:
     @classmethod
     def drawn(cls, random: np.random.Generator) -> "_Walker":
         height = int(random.integers(140, 330))
-        texture = cv2.resize(_drawn_texture(random, 200), (int(height * random.uniform(0.25, 0.5)), height))
+        texture = cv2.resize(drawn_texture(random, 200), (int(height * random.uniform(0.25, 0.5)), height))
         return cls(
             np.asarray(texture, np.uint8),
             random.uniform(0, WIDTH),

@@ -1,20 +1,23 @@
 """Scans of a LiDAR in a room with boxes, by rays: carried by an arm or a base, whose poses err."""
 
-from dataclasses import dataclass
-from itertools import accumulate
+from dataclasses import dataclass, replace
+from itertools import accumulate, chain
 
 import numpy as np
 
 from benchmarks.guard.moving_clips import HandMotion
+from benchmarks.guard.room import Rectangle, box, fan_of_rays, ranges_to
 from calibration.addons.guard.witness.map_checks import MovingLidar
 from calibration.addons.guard.witness.recorded_frames import Carriage
 from calibration.base.arrays import Array
 from calibration.engine.geometry.rotations import exp
-from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, retract, transform
+from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, retract, transform, translation
 from calibration.robot.importing.bags.bag import NS_PER_S
 
 T_LINK_LIDAR = from_xyz_rpy(np.array([0.12, 0.03, 0.25]), np.array([0.02, 0.05, 0.4]))
 NOT_MOVED = np.zeros(6)
+PERSON = np.array([0.4, 0.3, 1.8])
+"""m: sides of who walks about."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +35,8 @@ class ScannedRoom:
     """m and rad."""
     drift: tuple[float, float] = (0.0, 0.0)
     """m and rad: from scan to scan, which adds up as odometry's does."""
+    slip: tuple[float, float] = (0.0, 0.0)
+    """m and rad: by which the wheels of a base slip, once."""
     planar: bool = False
     """Whether a base carries it, which moves in a plane and turns about z."""
     people: int = 2
@@ -63,46 +68,31 @@ class ScannedRoom:
         steps = retract(
             inverse(known[:-1]) @ known[1:], random.normal(size=(len(known) - 1, 6)) * np.repeat(self.drift, 3)
         )
+        slipped = random.normal(size=2) @ np.eye(6)[:2] * self.slip[0] + random.normal() * np.eye(6)[5] * self.slip[1]
+        at = int(random.integers(len(steps)))
+        steps[at] = retract(steps[at], slipped)
         driven = np.stack(list(accumulate(steps, np.matmul, initial=known[0])))
         noise = random.normal(size=(self.scans, 6)) * np.repeat(self.pose_noise, 3)
         true = retract(driven, noise) @ T_LINK_LIDAR
         true[begin:] = retract(true[begin:], np.tile(shift, (self.scans - begin, 1)))
         people = [(random.uniform(-3, 3, 2), random.uniform(-0.2, 0.2, 2)) for _ in range(self.people)]
-        scans = []
+        walls = [*box(np.eye(4), np.array([8.0, 6.0, 3.0])), Rectangle(np.zeros(3), np.diag([8.0, 6.0, 0.0])[:2])]
+        walls = [replace(each, corner=each.corner - [4, 3, 0]) for each in walls]
+        rays, scans = fan_of_rays(self.rings, self.azimuths, (-0.5, 0.5), (0, 2 * np.pi)), []
         for time, T in zip(self._times.tolist(), true, strict=True):
-            walking = [(translated(np.r_[at + speed * time, 0.9]), np.array([0.2, 0.15, 0.9])) for at, speed in people]
-            scans.append(self._scan(T, [*boxes, *walking], random))
+            walking = [box(translation([*(at + speed * time), 0.0]), PERSON) for at, speed in people]
+            far = ranges_to([*walls, *chain(*boxes, *walking)], T, rays)
+            scans.append(rays * (far + self.offset_m + random.normal(size=len(far)) * self.noise_m)[:, None])
         velocities = np.zeros((self.scans, 6))
         stamps = np.asarray(NS_PER_S * self._times, np.int64)
-        return MovingLidar("lidar", Carriage(stamps, T_LINK_LIDAR, accepted**2 * np.eye(6), known, velocities), scans)
+        return MovingLidar(
+            "lidar", Carriage(stamps, T_LINK_LIDAR, accepted**2 * np.eye(6), known, velocities, self.planar), scans
+        )
 
-    def _box(self, random: np.random.Generator) -> tuple[Array, Array]:
-        """Return the pose (4, 4) of a box near a wall, and half its sides (3,)."""
+    def _box(self, random: np.random.Generator) -> list[Rectangle]:
+        """Return a box near a wall."""
         half = random.uniform([0.3, 0.2, 0.3], [0.8, 0.6, 1.0])
         angle = random.uniform(0, 2 * np.pi)
         at = np.array([3.6 * np.cos(angle), 2.6 * np.sin(angle), half[2]])
-        return from_xyz_rpy(at, np.array([0.0, 0.0, random.uniform(0, 3)])), half
-
-    def _scan(self, T: Array, boxes: list[tuple[Array, Array]], random: np.random.Generator) -> Array:
-        up, around = np.linspace(-0.5, 0.5, self.rings), np.linspace(0, 2 * np.pi, self.azimuths, endpoint=False)
-        up, around = (each.ravel() for each in np.meshgrid(up, around))
-        rays = np.stack([np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up)], -1)
-        far = _crossed(translated(np.array([0, 0, 1.5])), np.array([4.0, 3.0, 1.5]), T, rays)[1]
-        for pose, half in boxes:
-            enter, leave = _crossed(pose, half, T, rays)
-            far = np.where((enter < leave) & (enter > 0), np.minimum(far, enter), far)
-        return np.asarray(rays * (far + self.offset_m + random.normal(size=len(far)) * self.noise_m)[:, None])
-
-
-def translated(at: Array) -> Array:
-    """Return the pose (4, 4) of what stands upright at a place (3,)."""
-    return from_xyz_rpy(at, np.zeros(3))
-
-
-def _crossed(pose: Array, half: Array, T: Array, rays: Array) -> tuple[Array, Array]:
-    """Return where rays (N, 3) enter and leave a box (Kay and Kajiya's slabs, 1986)."""
-    D = inverse(pose) @ T
-    origin, along = D[:3, 3], apply(D, rays) - D[:3, 3]
-    along = np.where(abs(along) < 1e-9, 1e-9, along)
-    ends = np.stack([(side * half - origin) / along for side in (-1, 1)])
-    return ends.min(0).max(-1), ends.max(0).min(-1)
+        middle = from_xyz_rpy(at, np.array([0.0, 0.0, random.uniform(0, 3)]))
+        return box(middle @ translation(-half), 2 * half)

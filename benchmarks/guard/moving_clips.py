@@ -1,7 +1,6 @@
 """Clips of a camera in a hand over a table: textured things with parallax, what moves, light, noise and compression.
 
-The table, the tops and the sides of boxes are textured rectangles, each warped by its homography. Of two cameras both
-look at the same. Over the table things move, and fingers of the hand are in the image.
+Of two cameras both look at the same. Over the table things move, and fingers of the hand are in the image.
 """
 
 from dataclasses import dataclass, field
@@ -9,10 +8,11 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from benchmarks.guard.room import Rectangle, box, draw
 from calibration.base.arrays import Array
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, local, retract
+from calibration.engine.geometry.transforms import from_xyz_rpy, local, retract, transform
 from calibration.robot.labelling.detection import Image
 
 CAMERA = Camera(554.0, 554.0, 321.0, 238.0, 640, 480)
@@ -46,23 +46,10 @@ class HandMotion:
 
 
 @dataclass(frozen=True)
-class Textured:
-    """Rectangle: corner, sides (2, 3) and picture."""
-
-    corner: Array
-    sides: Array
-    texture: Image
-    moves: tuple[float, float] = (0.0, 0.0)
-    """m/s along x and y: of what moves over the table, to and fro."""
-    carried: bool = False
-    """Whether it is in the frame of the camera."""
-
-
-@dataclass(frozen=True)
 class Table:
     """What a camera over a table sees."""
 
-    things: list[Textured] = field(default_factory=list)
+    things: list[Rectangle] = field(default_factory=list)
     textured: float = 1.0
 
     @classmethod
@@ -71,34 +58,28 @@ class Table:
     ) -> "Table":
         """Draw a table with boxes, things that move over it, and fingers of the hand."""
         things = [
-            Textured(np.array([-1.3, -1.3, 0]), np.array([[2.6, 0, 0], [0, 2.6, 0]]), picture(random, 1500, textured))
+            Rectangle(np.array([-1.3, -1.3, 0]), np.array([[2.6, 0, 0], [0, 2.6, 0]]), picture(random, 1500, textured))
         ]
         for _ in range(boxes):
             x, y = random.uniform(-0.45, 0.45, 2)
             w, d, h = random.uniform([0.06, 0.06, 0.03], [0.2, 0.2, 0.18])
             turned = rotations.exp(np.array([0, 0, random.uniform(0, 3)]))
-            for corner, sides in (
-                ((0, 0, 0), ((w, 0, 0), (0, 0, h))), ((0, d, 0), ((w, 0, 0), (0, 0, h))),
-                ((0, 0, 0), ((0, d, 0), (0, 0, h))), ((w, 0, 0), ((0, d, 0), (0, 0, h))),
-                ((0, 0, h), ((w, 0, 0), (0, d, 0))),
-            ):  # fmt: skip
-                at = np.array([x, y, 0.0]) + turned @ np.array(corner, float)
-                things.append(Textured(at, (turned @ np.array(sides, float).T).T, picture(random, 220, textured)))
+            place = transform(turned, np.array([x, y, 0.0]))
+            things += box(place, np.array([w, d, h]), [picture(random, 220, textured) for _ in range(5)])
         for _ in range(moving):
             place = np.array([*random.uniform(-0.4, 0.3, 2), 0.2])
             size = np.array([[random.uniform(0.1, 0.25), 0, 0], [0, random.uniform(0.1, 0.25), 0]])
-            things.append(Textured(place, size, picture(random, 250, textured), tuple(random.uniform(-0.12, 0.12, 2))))
+            things.append(Rectangle(place, size, picture(random, 250, textured), tuple(random.uniform(-0.12, 0.12, 2))))
         for i in range(fingers):
             place = np.array([-0.06 + 0.09 * i, 0.075, 0.2])
             finger = np.array([[0.025, 0, 0], [0, 0.06, 0]])
-            things.append(Textured(place, finger, picture(random, 120, textured), carried=True))
+            things.append(Rectangle(place, finger, picture(random, 120, textured), carried=True))
         return cls(things, textured)
 
     def seen(self, T_root_camera: Array, time: float, camera: Camera = CAMERA) -> Image:
         """Return what a camera sees (H, W), grey."""
         image = np.full((camera.height, camera.width), 100, np.uint8)
-        for thing in sorted(self.things, key=lambda each: _height(each)):
-            _draw(image, thing, T_root_camera, time, camera)
+        draw(image, sorted(self.things, key=_height), T_root_camera, camera.K, time)
         return image
 
 
@@ -130,20 +111,5 @@ def taken(
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE))
 
 
-def _height(thing: Textured) -> float:
+def _height(thing: Rectangle) -> float:
     return 9.0 if thing.carried else float(thing.corner[2] + 0.5 * thing.sides[:, 2].sum())
-
-
-def _draw(image: Image, thing: Textured, T_root_camera: Array, time: float, camera: Camera) -> None:
-    side = len(thing.texture)
-    corner = thing.corner + np.array([*(0.8 * np.sin(0.9 * time) * np.array(thing.moves) * 1.5), 0])
-    plane = np.stack([thing.sides[0] / side, thing.sides[1] / side, corner], 1)
-    T = np.eye(4) if thing.carried else inverse(T_root_camera)
-    seen = T[:3, :3] @ plane + np.stack([np.zeros(3), np.zeros(3), T[:3, 3]], 1)
-    ends = np.array([[0, 0, 1], [side, 0, 1], [0, side, 1], [side, side, 1]]) @ seen[2]
-    if (ends < 0.03).any():
-        return
-    H = camera.K @ seen
-    size = (camera.width, camera.height)
-    mask = cv2.warpPerspective(np.full_like(thing.texture, 255), H, size, flags=cv2.INTER_NEAREST) > 0
-    np.copyto(image, cv2.warpPerspective(thing.texture, H, size, flags=cv2.INTER_LINEAR), where=mask)

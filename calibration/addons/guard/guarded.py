@@ -1,6 +1,6 @@
 """What is checked: the accepted calibrations, their reference and a recording; and the methods that check it."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,11 +37,13 @@ class Guarded:
     """Images in them, by the names that they have there."""
 
 
-Method = Callable[[Guarded], Iterable[SensorCheck]]
+Told = Mapping[str, SensorCheck]
+"""What other methods say of sensors."""
+Method = Callable[[Guarded, Told], Iterable[SensorCheck]]
 """Checks the sensors of a system of which it can tell something; raises an `InputError` for a wrong recording."""
 
 
-def fixed_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
+def fixed_cameras(guarded: Guarded, _: Told) -> Iterable[SensorCheck]:
     """Check the cameras that have a reference.
 
     Raises:
@@ -54,19 +56,18 @@ def fixed_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
         yield check_fixed_camera(kept, images)
 
 
-def moving_cameras(guarded: Guarded) -> Iterable[SensorCheck]:
-    """Check the cameras of bags that have no reference, by the motion that carries them, or by each other.
+def moving_cameras(guarded: Guarded, told: Told) -> Iterable[SensorCheck]:
+    """Check the cameras of bags by the motion that carries them, by each other, or by a LiDAR.
 
     Raises:
         InputError: a bag cannot be read.
     """
-    kept = [each.sensor for each in guarded.kept]
     for path in map(path_of_recording, guarded.recordings):
         if is_bag(path):
-            yield from checks_of_bag(path, guarded.accepted, kept)
+            yield from checks_of_bag(path, guarded.accepted, told)
 
 
-def moving_lidars(guarded: Guarded) -> Iterable[SensorCheck]:
+def moving_lidars(guarded: Guarded, _: Told) -> Iterable[SensorCheck]:
     """Check the LiDARs of bags by the crispness of their map.
 
     Raises:
@@ -77,8 +78,8 @@ def moving_lidars(guarded: Guarded) -> Iterable[SensorCheck]:
             yield from map_checks_of_bag(path, guarded.accepted)
 
 
-METHODS: tuple[Method, ...] = (fixed_cameras, moving_cameras, moving_lidars)
-"""Of several that check a sensor the first counts."""
+METHODS: tuple[Method, ...] = (fixed_cameras, moving_lidars, moving_cameras)
+"""Of several that check a sensor the first counts that can tell."""
 
 
 def guarded_systems(baseline: Path, recordings: Sequence[str], systems: Sequence[str], rate: float) -> list[Guarded]:
@@ -131,8 +132,10 @@ def check_systems(guarded: Sequence[Guarded], baseline: Path) -> dict[str, tuple
     for system in guarded:
         checks: dict[str, SensorCheck] = {}
         for method in METHODS:
-            for check in method(system):
-                checks.setdefault(check.sensor, check)
+            for check in method(system, checks):
+                known = checks.setdefault(check.sensor, check)
+                if known.outcome == "cannot-tell" != check.outcome:
+                    checks[check.sensor] = check
         if checks:
             found[system.name] = tuple(checks.values())
     if not found:

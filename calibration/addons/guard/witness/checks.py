@@ -16,7 +16,7 @@ from calibration.addons.guard.outcome import (
     smallest_seen,
 )
 from calibration.addons.guard.witness.bundle import Observations, evidence_of
-from calibration.addons.guard.witness.displacement import Displacement, displacement_of
+from calibration.addons.guard.witness.displacement import Displacement, displacement_of, drift_of_poses
 from calibration.addons.guard.witness.tracks import matched_pairs, tracked_scene
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.geometry.cameras import Camera
@@ -63,6 +63,8 @@ class MovingCamera:
     """(K, 4, 4): all the same of a link that stands."""
     velocities: Array
     """(K, 6): twists of the link in its own frame, m/s and rad/s."""
+    drives: bool = False
+    """Whether odometry says where the link is."""
 
 
 def check_by_motion(seen: MovingCamera, pose_noise: tuple[float, float]) -> SensorCheck:
@@ -139,7 +141,8 @@ class WitnessAnswer:
         if evidence is None or len(np.unique(evidence.observations.points)) < MIN_POINTS:
             return self.cannot_tell(f"found {points} points that stand still in a scene, expected {MIN_POINTS}")
         velocities = seen.velocities @ inverse_adjoint(seen.T_link_camera).T
-        return self.by(displacement_of(evidence, velocities, pose_noise, seen.lens_sigmas, accepted))
+        drift = drift_of_poses(observations.poses) if seen.drives else None
+        return self.by(displacement_of(evidence, velocities, pose_noise, seen.lens_sigmas, accepted, drift))
 
     def by(self, found: Displacement) -> SensorCheck:
         """Return what a displacement says, whether significant or not."""

@@ -23,8 +23,8 @@ FIRST_NOISE = (2e-3, 2e-3)
 """m and rad: where EM begins."""
 TAIL_FREEDOM = 10.0
 """Of Student's distribution of the poses' errors."""
-SLIP_FREEDOM = 2.0
-"""Of that of the errors between two poses: a wheel may slip."""
+SLIP = 0.3
+"""m and rad: standard deviation of what a wheel may slip, once."""
 ANYWHERE = 1.0
 """m and rad: standard deviation of a displacement in directions that nothing tells."""
 MIN_SIDE = 4
@@ -98,10 +98,15 @@ def displacement_of(
     white, drifted = _noise_covariance(evidence, fixed, known_noise, steps, TAIL_FREEDOM, drift)
     fixed = fixed + drifted
     begin = _best_begin(evidence, fixed + white, begins)
-    found = _fitted(evidence, fixed, white, begin, len(begins))
-    if begin and found.p > MAX_FALSE_ALARM:  # what could be seen is stated for a mount that is off all along
-        return _fitted(evidence, fixed, white, 0, len(begins))
-    return found
+    slips = np.zeros((1, len(fixed), 6)) if drift is None else SLIP * drift.reshape(len(fixed), -1, 6).swapaxes(0, 1)
+
+    def fitted(begin: int) -> Displacement:
+        """Return what is significant even if a wheel has slipped at any one moment."""
+        found = [_fitted(evidence, fixed + slip @ slip.T, white, begin, len(begins)) for slip in slips]
+        return max(found, key=lambda each: each.p)
+
+    found = fitted(begin)
+    return fitted(0) if begin and found.p > MAX_FALSE_ALARM else found  # what could be seen is stated for all along
 
 
 def drift_of_poses(poses: Array) -> Array:
@@ -163,17 +168,17 @@ def _noise_covariance(
     """Return the covariances (n, n) of the own errors of the known poses, and of their drift, by REML.
 
     The former are of Student's distribution (Lange, Little and Taylor, 1989): the pose of an image that shows more of
-    what moves than of the scene may be far off. So is the drift.
+    what moves than of the scene may be far off.
     """
     K = (len(evidence.b) - LENS_COLUMNS) // 6
     Phi, level, weights = _columns(begins, K), np.repeat(FIRST_NOISE, 3), np.ones(K)
-    drift_level, drift_weights = level, np.ones(K - 1)
+    drift_level = level
     white, drifted = np.zeros_like(fixed), np.zeros_like(fixed)
     at = np.arange(6 * K)
     for _ in range(EM_STEPS):
         white[at, at] = (level**2 / weights[:, None]).ravel()
         if drift is not None:
-            drift_variances = (drift_level**2 / drift_weights[:, None]).ravel()
+            drift_variances = np.tile(drift_level**2, K - 1)
             drifted = (drift * drift_variances) @ drift.T
         M = np.linalg.solve(np.eye(len(fixed)) + evidence.S @ (white + drifted + fixed), np.c_[evidence.S, evidence.b])
         M, Gb = M[:, :-1], M[:, -1]
@@ -188,9 +193,6 @@ def _noise_covariance(
         if drift is not None:
             along = np.asarray(((used.T @ drift) * drift).sum(0), float)
             squares = _expected_squares(drift_variances, np.asarray(drift.T @ pulls, float), along)
-            if np.isfinite(tail_freedom):
-                own = (SLIP_FREEDOM + 6) / (SLIP_FREEDOM + (squares / drift_level**2).sum(1))
-                drift_weights = np.minimum(own, 1.0)  # a slip makes no other step more certain
             drift_level = _next_level(drift_level, squares)
     return white, drifted
 

@@ -1,6 +1,6 @@
 """LiDARs of a bag against the motion of what carries them, by the crispness of the map that their scans make."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,7 +66,8 @@ def check_by_map(seen: MovingLidar) -> SensorCheck:
     if evidence is None or planes < MIN_PLANES:
         return answer.cannot_tell(f"found {planes} parts of planes that several scans see, expected {MIN_PLANES}")
     velocities = way.velocities @ inverse_adjoint(way.T_link_sensor).T
-    found = displacement_of(evidence, velocities, POSE_NOISE, RANGE_SIGMAS, way.covariance, drift_of_poses(poses))
+    drift = drift_of_poses(poses) if way.drives else None
+    found = displacement_of(evidence, velocities, POSE_NOISE, RANGE_SIGMAS, way.covariance, drift)
     return answer.by(found)
 
 
@@ -81,8 +82,7 @@ def map_checks_of_bag(path: Path, accepted: CalibrationDocument) -> Iterator[Sen
         InputError: the bag cannot be read.
     """
     with open_bag([path]) as bag:
-        clouds = [topic for topic, kind in bag.topics.items() if MODALITY_OF_MESSAGE.get(kind) == LIDAR3D]
-        if not clouds:
+        if not (clouds := cloud_topics(bag)):
             return
         log, moving = MotionLog(), motion_topics(bag)
         stamps: dict[str, dict[int, int]] = {topic: {} for topic in clouds}
@@ -96,7 +96,7 @@ def map_checks_of_bag(path: Path, accepted: CalibrationDocument) -> Iterator[Sen
                     frame[message.topic] = frame_of(bag.decode(message))
         frames = RecordedFrames(log, accepted, LOCALISED_IN)
         for pose in accepted.poses:
-            own = [topic for topic, name in frame.items() if pose.sensor and _is_of(pose, topic, name)]
+            own = [topic for topic, name in frame.items() if pose.sensor and is_of(pose, topic, name)]
             if own:
                 try:
                     if not frames.moves(frames.root(pose.parent), pose.parent):
@@ -107,7 +107,29 @@ def map_checks_of_bag(path: Path, accepted: CalibrationDocument) -> Iterator[Sen
                 yield found
 
 
-def _is_of(pose: CalibratedPose, topic: str, frame: str) -> bool:
+def cloud_topics(bag: Bag) -> list[str]:
+    """Return the topics of clouds."""
+    return [topic for topic, kind in bag.topics.items() if MODALITY_OF_MESSAGE.get(kind) == LIDAR3D]
+
+
+def cloud_at(bag: Bag, topic: str, recorded: Mapping[int, int], stamp: int) -> Array:
+    """Return the points (N, 3) of the scan of a stamp, ns.
+
+    Args:
+        bag: the bag.
+        topic: of clouds.
+        recorded: recording time, ns, by stamp.
+        stamp: ns.
+
+    Raises:
+        InputError: it cannot be decoded.
+    """
+    message = next(iter(bag.messages({topic}, recorded[stamp], recorded[stamp] + 1)))
+    where, content = f"{bag.path}: {topic} at {stamp / NS_PER_S:.3f}", bag.decode(message)
+    return (livox_points if bag.topics[topic] in LIVOX_TYPES else cloud_of)(content, where)
+
+
+def is_of(pose: CalibratedPose, topic: str, frame: str) -> bool:
     """Whether a topic is a sensor's, by its first part or by the frame of its data."""
     return topic.strip("/").split("/")[0] == pose.sensor or frame == pose.child
 
@@ -127,9 +149,5 @@ def _moving_lidar(
     if not len(slow):
         slow = every.stamps[:1]
     carriage = frames.carriage(pose, frame, evenly_chosen(slow), topic)
-    scans = []
-    for stamp in carriage.stamps.tolist():
-        message = next(iter(bag.messages({topic}, recorded[stamp], recorded[stamp] + 1)))
-        where, content = f"{bag.path}: {topic} at {stamp / NS_PER_S:.3f}", bag.decode(message)
-        scans.append((livox_points if bag.topics[topic] in LIVOX_TYPES else cloud_of)(content, where))
+    scans = [cloud_at(bag, topic, recorded, stamp) for stamp in carriage.stamps.tolist()]
     return MovingLidar(pose.name, carriage, scans)

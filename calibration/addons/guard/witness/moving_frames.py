@@ -1,29 +1,35 @@
-"""Cameras of a bag with the motion of what carries them, by its frames and joints and the accepted calibration."""
+"""Cameras of a bag, by the motion of what carries them, by each other, and by the LiDARs beside them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from calibration.addons.guard.features import Features, find_features
+from calibration.addons.guard.features import find_features
 from calibration.addons.guard.keeping import accepted_camera
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_each_other, check_by_motion
+from calibration.addons.guard.witness.edge_checks import CameraAndLidar, check_by_edges, stands_still
+from calibration.addons.guard.witness.map_checks import cloud_at, cloud_topics, is_of
 from calibration.addons.guard.witness.recorded_frames import RecordedFrames, evenly_chosen
 from calibration.base.arrays import Array, IntArray
 from calibration.base.errors import InputError
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
+from calibration.engine.dataset.modalities import LIDAR3D
 from calibration.engine.geometry.cameras import Camera
+from calibration.engine.geometry.transforms import adjoint, inverse
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag, open_bag
 from calibration.robot.importing.bags.survey import SensorTopic, Survey, cameras_of, survey
 from calibration.robot.importing.bags.video_packets import ImageReader
-from calibration.robot.importing.description import Bags, ImportDescription
-from calibration.robot.labelling.detection import grey
+from calibration.robot.importing.description import Bags, ImportDescription, SensorDescription
+from calibration.robot.labelling.detection import Image, grey
 
 MAX_APART = 0.03
 """s: limit of the time between two images that are taken for one moment."""
+MAX_APART_OF_SCAN = 0.1
+"""s: limit of the time between an image and a scan of one moment, in which nothing moves."""
 LENS_SIGMAS = np.array([5e-4, 1e-3, 1e-3])
 """Standard deviations of the relative focal length and the principal point, in focal lengths, if nobody knows them."""
 NO_WITNESS = (
@@ -31,55 +37,68 @@ NO_WITNESS = (
 )
 
 
-def checks_of_bag(path: Path, accepted: CalibrationDocument, skipped: Sequence[str] = ()) -> Iterator[SensorCheck]:
-    """Check the accepted cameras of a bag by the motion that carries them, else by each other.
+def checks_of_bag(
+    path: Path, accepted: CalibrationDocument, told: Mapping[str, SensorCheck] | None = None
+) -> Iterator[SensorCheck]:
+    """Check the accepted cameras of a bag by the motion that carries them, else by each other and by LiDARs.
 
     Args:
         path: the bag.
         accepted: the calibration.
-        skipped: sensors that need no check.
+        told: what is known of its sensors; of those of which it is told whether they have moved, nothing is said.
 
     Raises:
         InputError: the bag cannot be read.
     """
+    told = {name: each for name, each in (told or {}).items() if each.outcome != "cannot-tell"}
     with open_bag([path]) as bag:
         if not cameras_of(bag):
             return
-        found = survey(bag, ImportDescription((), bags=Bags((path,))))
+        clouds = (SensorDescription(topic, topic=topic) for topic in cloud_topics(bag))
+        found = survey(bag, ImportDescription((), sensors=(*cameras_of(bag), *clouds), bags=Bags((path,))))
         carried = _Carried(bag, found, accepted)
-        cameras = [each for each in accepted.poses if each.sensor in found.cameras and each.sensor not in skipped]
+        cameras = [each for each in accepted.poses if each.sensor in found.cameras]
         said: dict[str, SensorCheck] = {}
         for pose in cameras:
             try:
-                if carried.moves(pose):
+                if pose.name not in told and carried.moves(pose):
                     said[pose.name] = check_by_motion(carried.camera(pose), POSE_NOISE)
             except InputError as error:
                 said[pose.name] = _untold(pose.name, str(error))
-        open_ones = {each.name for each in cameras} - {
-            name for name, each in said.items() if each.outcome != "cannot-tell"
-        }
-        pairs = [pair for pair in combinations(cameras, 2) if open_ones & {each.name for each in pair}]
-        found_of_pairs = [of for pair in pairs if (of := carried.check_pair(*pair)) is not None]
-        for check in blamed(found_of_pairs):
-            if check.sensor in open_ones and (check.outcome != "cannot-tell" or check.sensor not in said):
+        told |= {name: each for name, each in said.items() if each.outcome != "cannot-tell"}
+        pairs = [carried.check_pair(*pair) for pair in combinations(cameras, 2) if not told.keys() >= _names(pair)]
+        for lidar, topic in carried.lidars:
+            near = [pose for pose in cameras if not told.keys() >= _names((pose, lidar))]
+            pairs += [carried.check_by_lidar(pose, lidar, topic) for pose in near]
+        for check in blamed([each for each in pairs if each is not None], told):
+            if check.sensor not in told and (check.outcome != "cannot-tell" or check.sensor not in said):
                 said[check.sensor] = check
     yield from said.values()
-    yield from (_untold(each.name, NO_WITNESS) for each in cameras if each.name not in said)
+    yield from (_untold(each.name, NO_WITNESS) for each in cameras if each.name not in {*said, *told})
 
 
-def blamed(pairs: Sequence[tuple[str, SensorCheck]]) -> list[SensorCheck]:
-    """Return what pairs of cameras say of each: one that has moved differs from all others, which agree.
+def _names(pair: tuple[CalibratedPose, CalibratedPose]) -> set[str]:
+    return {each.name for each in pair}
+
+
+def blamed(
+    pairs: Sequence[tuple[str, SensorCheck]], told: Mapping[str, SensorCheck] | None = None
+) -> list[SensorCheck]:
+    """Return what pairs of sensors say of each: one that has moved differs from all others, which agree.
 
     Args:
-        pairs: the first camera of each pair, and what was found of the second relative to it.
+        pairs: the first sensor of each pair, and what was found of the second relative to it.
+        told: what is known of sensors otherwise.
     """
     found: dict[str, SensorCheck] = {}
     reds = [name for first, check in pairs if check.red for name in (first, check.sensor)]
+    reds += [name for name, each in (told or {}).items() if each.red for _ in pairs]
     greens = {name for first, check in pairs if check.outcome == "unmoved" for name in (first, check.sensor)}
+    greens |= {name for name, each in (told or {}).items() if not each.red}
     for first, check in sorted(pairs, key=lambda pair: not pair[1].red):
         for name, other in ((check.sensor, first), (first, check.sensor)):
             if not check.red:
-                found.setdefault(name, replace(check, sensor=name, method=f"what {other} sees too"))
+                found.setdefault(name, replace(check, sensor=name, method=check.method.replace(name, other)))
             elif reds.count(name) >= reds.count(other) and name not in greens:
                 tie = "" if reds.count(name) > reds.count(other) or other in greens else f", or {other} has moved"
                 if name not in found and not (tie and other in found):
@@ -92,7 +111,7 @@ def _seen_from_other(check: SensorCheck, other: str) -> SensorCheck:
     """Return what was found of a pair's second camera as that of the first, whose axes it is not in."""
     return replace(
         check,
-        method=f"what {other} sees too",
+        method=check.method.replace(check.sensor, other),
         reason=f"{other} seen from it {check.reason.removeprefix('it ')}: it has moved itself, as {other} fits others",
         rotation_deg=None, rotation_sigma_deg=None, translation_mm=None, translation_sigma_mm=None,
     )  # fmt: skip
@@ -116,6 +135,7 @@ class _Carried:
 
     def __init__(self, bag: Bag, found: Survey, accepted: CalibrationDocument) -> None:
         self._bag, self._found, self._accepted = bag, found, accepted
+        self._poses = [each for each in accepted.poses if each.sensor]
         self._frames = RecordedFrames(found.log, accepted)
 
     def moves(self, pose: CalibratedPose) -> bool:
@@ -134,7 +154,7 @@ class _Carried:
         chosen = evenly_chosen(every) if stamps is None else every[np.abs(every[:, None] - stamps).argmin(0)]
         carriage = self._frames.carriage(pose, topic.frame, chosen, topic.topic)
         chosen = carriage.stamps
-        features = self._features(topic, camera, chosen.tolist())
+        features = [find_features(image) for image in self._images(topic, camera, chosen.tolist())]
         return MovingCamera(
             pose.name,
             camera,
@@ -145,7 +165,53 @@ class _Carried:
             features,
             carriage.T_root_link,
             carriage.velocities,
+            carriage.drives,
         )
+
+    @property
+    def lidars(self) -> list[tuple[CalibratedPose, SensorTopic]]:
+        """Accepted LiDARs with clouds in the bag, and their topics."""
+        topics = [each for each in self._found.range_sensors.values() if each.modality == LIDAR3D]
+        of_pose = [(pose, [topic for topic in topics if is_of(pose, topic.topic, topic.frame)]) for pose in self._poses]
+        return [(pose, own[0]) for pose, own in of_pose if own]
+
+    def check_by_lidar(
+        self, pose: CalibratedPose, lidar: CalibratedPose, topic: SensorTopic
+    ) -> tuple[str, SensorCheck] | None:
+        """Check a camera by the edges that a LiDAR sees too; None if they move relative to each other."""
+        try:
+            if self._frames.moves(pose.parent, lidar.parent):
+                return None
+            return lidar.name, check_by_edges(self._camera_and_lidar(pose, lidar, topic))
+        except InputError as error:
+            return lidar.name, _untold(pose.name, str(error))
+
+    def _camera_and_lidar(self, pose: CalibratedPose, lidar: CalibratedPose, cloud: SensorTopic) -> CameraAndLidar:
+        """Return images and scans of the moments at which nothing moves, evenly over the recording."""
+        topic = self._found.cameras[pose.sensor or ""]
+        camera = self._camera(topic, pose)
+        every, scans = (np.array(sorted(each.stamps.values())) for each in (topic, cloud))
+        recorded = {stamp: at for at, stamp in cloud.stamps.items()}
+        moments, images, points = [], [], []
+        for stamp in evenly_chosen(every[:-1]).tolist() if len(every) > 1 else ():
+            scan = int(scans[np.abs(scans - stamp).argmin()])
+            if abs(scan - stamp) > MAX_APART_OF_SCAN * NS_PER_S:
+                continue
+            later = int(every[np.searchsorted(every, stamp) + 1])
+            image, after = self._images(topic, camera, (stamp, later))
+            if stands_still(image, after):
+                moments.append(stamp)
+                images.append(image)
+                points.append(cloud_at(self._bag, cloud.topic, recorded, scan))
+        time = float(every[0])
+        T_camera, C_camera = self._frames.mount(pose, topic.frame, time)
+        T_lidar, C_lidar = self._frames.mount(lidar, cloud.frame, time)
+        T = inverse(self._frames.transform(lidar.parent, pose.parent, time) @ T_camera) @ T_lidar
+        to_camera = adjoint(T)
+        return CameraAndLidar(
+            pose.name, lidar.name, images, points, camera, lens_sigmas(self._accepted, pose.name), T,
+            C_camera + to_camera @ C_lidar @ to_camera.T, (np.array(moments) - every[0]) / NS_PER_S,
+        )  # fmt: skip
 
     def check_pair(self, one: CalibratedPose, other: CalibratedPose) -> tuple[str, SensorCheck] | None:
         """Check two cameras by each other; None if they move relative to each other, or have no images at one time."""
@@ -160,7 +226,9 @@ class _Carried:
                 return None
             first, second = self.camera(one, chosen), self.camera(other, chosen)
             T = self._frames.transform(one.parent, other.parent, float(chosen[0]))
-            return one.name, check_by_each_other(first, replace(second, T_root_link=first.T_root_link @ T))
+            return one.name, check_by_each_other(
+                first, replace(second, T_root_link=first.T_root_link @ T, drives=False)
+            )
         except InputError as error:
             return one.name, _untold(other.name, str(error))
 
@@ -169,10 +237,14 @@ class _Carried:
             raise InputError(f"{self._bag.path}: {topic.topic}: found no camera_info beside it, expected its lens")
         return accepted_camera(topic.camera, self._accepted, pose.name)
 
-    def _features(self, topic: SensorTopic, camera: Camera, stamps: Sequence[int]) -> list[Features]:
+    def _images(self, topic: SensorTopic, camera: Camera, stamps: Sequence[int]) -> Iterator[Image]:
+        """Yield the grey images of some stamps, ns.
+
+        Raises:
+            InputError: one cannot be decoded, or has another size than the camera's.
+        """
         recorded = {stamp: at for at, stamp in topic.stamps.items()}
         reader = ImageReader(self._bag, self._found.key_frames)
-        found: list[Features] = []
         for stamp in stamps:
             _, decode = next(iter(reader.images({topic.topic}, recorded[stamp], recorded[stamp] + 1)))
             image = grey(decode())
@@ -181,5 +253,4 @@ class _Carried:
                     f"{self._bag.path}: {topic.topic}: found images of {image.shape[1]} x {image.shape[0]} pixels, "
                     f"expected {camera.width} x {camera.height}"
                 )
-            found.append(find_features(image))
-        return found
+            yield image

@@ -16,6 +16,8 @@ MAX_MOMENTS = 80
 """Images or scans of a sensor that are looked at, evenly chosen."""
 MOMENT_STEP = 0.5
 """s: least time between them."""
+MIN_DRIVEN_M = 0.01
+"""m, and rad: motion of a frame in its parent that counts."""
 HALF_STEP = 0.01
 """s: a velocity is taken over twice this time."""
 
@@ -34,6 +36,8 @@ class Carriage:
     """(K, 4, 4)."""
     velocities: Array
     """(K, 6): twists of the link in its own frame, m/s and rad/s."""
+    drives: bool = False
+    """Whether odometry says where it is, whose errors add up, and not joints alone."""
 
 
 class RecordedFrames:
@@ -68,17 +72,26 @@ class RecordedFrames:
         T = np.stack([self.transform(root, link, stamp) for stamp in stamps.tolist()])
         step = HALF_STEP * NS_PER_S if moves else 0.0
         ends = [[self.transform(root, link, stamp + side * step) for stamp in stamps.tolist()] for side in (-1, 1)]
+        velocities = local(np.stack(ends[0]), np.stack(ends[1])) / (2 * HALF_STEP)
+        drives = moves and any(self._is_odometry(step, stamps) for step in self._path(root, link))
+        return Carriage(stamps, *self.mount(pose, data_frame, float(stamps[0])), T, velocities, drives)
+
+    def mount(self, pose: CalibratedPose, data_frame: str, time: float) -> tuple[Array, Array]:
+        """Return ``T_link_sensor`` (4, 4) of the frame of a sensor's data, and its covariance (6, 6), see `Carriage`.
+
+        Args:
+            pose: accepted, of the sensor.
+            data_frame: frame of its data, that of the pose if nothing is known of it.
+            time: ns.
+
+        Raises:
+            InputError: a frame was not recorded around that time.
+        """
         frame = data_frame if data_frame in self._tree else pose.child
-        T_child_sensor = self.transform(pose.child, frame, float(stamps[0]))
+        T_child_sensor = self.transform(pose.child, frame, time)
         to_sensor = inverse_adjoint(T_child_sensor)
         C = np.zeros((6, 6)) if pose.covariance is None else pose.covariance
-        return Carriage(
-            stamps,
-            pose.matrix @ T_child_sensor,
-            to_sensor @ C @ to_sensor.T,
-            T,
-            local(np.stack(ends[0]), np.stack(ends[1])) / (2 * HALF_STEP),
-        )
+        return pose.matrix @ T_child_sensor, to_sensor @ C @ to_sensor.T
 
     def root(self, frame: str) -> str:
         """Return the frame on which a frame hangs in the end."""
@@ -106,6 +119,17 @@ class RecordedFrames:
 
     def _path(self, start: str, end: str) -> tuple[Step, ...]:
         return self._tree.path(start, end) if start != end else ()
+
+    def _is_odometry(self, step: Step, stamps: IntArray) -> bool:
+        """Whether a frame drives in its parent: it is named so (REP 105), or moves in a plane as no joint does."""
+        T = np.stack([self.transform(step.parent, step.child, stamp) for stamp in stamps.tolist()])
+        driven, height, tilt = (
+            float(np.ptp(T[:, :3, 3], axis=0).max()),
+            np.ptp(T[:, 2, 3]),
+            np.ptp(T[:, :3, 2], axis=0),
+        )
+        is_planar = height < MIN_DRIVEN_M and tilt.max() < MIN_DRIVEN_M
+        return driven > MIN_DRIVEN_M and (is_planar or "odom" in step.parent + step.child)
 
     def _is_known(self, link: str, stamp: int) -> bool:
         """Whether the pose of a link was recorded around a time, ns."""
