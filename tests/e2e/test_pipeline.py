@@ -73,35 +73,37 @@ def test_a_matrix_of_jobs_ends_in_one_table(caller: Caller) -> None:
 
 
 def test_everything_that_goes_wrong_is_red_and_says_why(caller: Caller, small: Path, tmp_path: Path) -> None:
-    """A broken limit, a dataset that is not there, a lost result, a collection and its system, and the unit tests.
+    """A broken limit, a dataset that is not there, a lost result, a collection and its system, the tests, no baseline.
 
     All that in a pull request from a fork, which has no secrets; that a push is red too, other tests see.
     """
     fork = tmp_path / "event.json"
     fork.write_text(json.dumps(FORK))
-    inputs = {"tests": "python3 -m unittest -q", "coverage-minimum": "90"}
+    inputs = {"tests": "python3 -m unittest -q", "coverage-minimum": "90", "check-recording": "tonight.mcap"}
     robot = {"robot.py": "def still():\n    if False:\n        pass\n    return True\n", "test_robot.py": UNCOVERED}
     caller.write(inputs, {**DATA, **robot, "small": small, "calibration.yml": EVERYTHING_FAILS})
     run = caller.run("pull_request", "-e", str(fork), "--env", "LOSE=calibration~lost_0m_0rad")
     assert run.code == 1
     title = "::error title=Calibration::"
     *_, gathered = [n for n, line in enumerate(run.annotations) if line.startswith(title)]
-    gathered -= 5  # the last job says all six in one go
+    gathered -= 6  # the last job says all seven in one go
     said = [line.removeprefix(title) for line in run.annotations[gathered:]]
     uncovered = "lines that are run: found 0.0 % (0 of 3), expected at least 90 % (minimum)"
     assert said[0].replace("%25", "%") == f"unit-tests: {uncovered}"
+    assert said[1].startswith("check: calibration-baseline.json: found no such file")
     limit = "RMS: found 0.0542 px, expected at most 0.001 px"
-    assert said[1] == f"beyond-limit: {limit}"
+    assert said[2] == f"beyond-limit: {limit}"
     lost = [f"{name}: its job left no result: see the job's log" for name in NOTHING_LEFT]
-    assert said[2:5] == lost
+    assert said[3:6] == lost
     far = r"translation error against the truth: found [0-9.e-]+ mm, expected at most 1e-06"
-    assert re.match(f"collected fresh: {far}", said[5])
-    assert len(said) == 6
-    others = sorted(run.annotations[:gathered])  # each job itself says why
-    assert [line.partition("::")[2] for line in others] == [
+    assert re.match(f"collected fresh: {far}", said[6])
+    assert len(said) == 7
+    others = run.annotations[:gathered]  # each job itself says why
+    assert sorted(line.partition("::")[2] for line in others) == [
         "error file=calibration.yml,line=3,title=Calibration::" + limit,
-        "error title=Calibration::" + said[5],
+        "error title=Calibration::" + said[6],
         f"error title=Coverage of the tests::{uncovered.replace('%', '%25')}",
+        "error::" + said[1].removeprefix("check: "),
         "error::nowhere: a dataset was expected, but it cannot be read: No such file or directory",
     ]
     robots, collected = run.tables["Robot"], run.tables["Collected"]

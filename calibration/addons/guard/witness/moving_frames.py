@@ -33,7 +33,7 @@ MAX_APART_OF_SCAN = 0.1
 LENS_SIGMAS = np.array([5e-4, 1e-3, 1e-3])
 """Standard deviations of the relative focal length and the principal point, in focal lengths, if nobody knows them."""
 NO_WITNESS = (
-    "nothing that moves carries it, no other camera sees the same, and it has no reference (accept --reference)"
+    "nothing that moves carries it, no other sensor sees the same, and it has no reference (accept --reference)"
 )
 
 
