@@ -193,10 +193,11 @@ class _Carried:
         every, scans = (np.array(sorted(each.stamps.values())) for each in (topic, cloud))
         recorded = {stamp: at for at, stamp in cloud.stamps.items()}
         moments, images, points = [], [], []
-        for stamp in evenly_chosen(every[:-1]).tolist() if len(every) > 1 else ():
+        at = np.searchsorted(scans, every[:-1])
+        apart = [np.abs(scans[side.clip(0, len(scans) - 1)] - every[:-1]) for side in (at - 1, at)]
+        near = every[:-1][np.minimum(*apart) <= MAX_APART_OF_SCAN * NS_PER_S]
+        for stamp in evenly_chosen(near).tolist() if len(near) else ():
             scan = int(scans[np.abs(scans - stamp).argmin()])
-            if abs(scan - stamp) > MAX_APART_OF_SCAN * NS_PER_S:
-                continue
             later = int(every[np.searchsorted(every, stamp) + 1])
             image, after = self._images(topic, camera, (stamp, later))
             if stands_still(image, after):
