@@ -202,7 +202,8 @@ def _reason(outcome: str, found: Displacement, unseen: list[float], since: float
     if outcome == "unmoved":
         mm = 1e3 * score * float(deviations[told].max(initial=0.0))
         shift = f" or a shift of {mm:.1f} mm" if told.any() else ""
-        return f"a turn of {deg:.2f} degrees{shift} would be seen in 99 %{unknown}"
+        when = ", if it is there all along" if found.may_slip else ""
+        return f"a turn of {deg:.2f} degrees{shift} would be seen in 99 %{when}{unknown}"
     shifted, turned = axes[:, told] @ along[told], found.twist[3:]
     parts = []
     if (abs(turned) > MIN_SCORE * sigmas[3:]).any():

@@ -6,7 +6,7 @@ recording tells by restricted maximum likelihood (Patterson and Thompson, 1971),
 by the generalised likelihood ratio over all moments (Page, 1957; Andrews, 1993), Bonferroni for their number.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -64,6 +64,8 @@ class Displacement:
     """What T^2 exceeds if it has moved."""
     pose_noise: tuple[float, float]
     """m and rad: by what most poses err, as the images say."""
+    may_slip: bool = False
+    """Whether one that begins late may be taken for a wheel that slips."""
 
 
 def displacement_of(
@@ -103,7 +105,7 @@ def displacement_of(
     def fitted(begin: int) -> Displacement:
         """Return what is significant even if a wheel has slipped at any one moment."""
         found = [_fitted(evidence, fixed + slip @ slip.T, white, begin, len(begins)) for slip in slips]
-        return max(found, key=lambda each: each.p)
+        return replace(max(found, key=lambda each: each.p), may_slip=drift is not None)
 
     found = fitted(begin)
     return fitted(0) if begin and found.p > MAX_FALSE_ALARM else found  # what could be seen is stated for all along
