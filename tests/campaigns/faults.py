@@ -49,6 +49,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
         *("--minimum", "50"),
     ),
     "analysis": ("static-analysis", "--tools", "ruff,xml,yamllint", "--output", "out"),
+    "mounts": ("check", "left_camera=night", "--rate", "2", "--output", "out"),
     "tables": ("introspect-csv", "--file", "table.csv", "--column", "x", "--max", "3", "--output", "out"),
 }
 PROGRAM = (sys.executable, "-m", "calibration")
@@ -185,6 +186,10 @@ def _started(
         (folder / "camera.yml").write_text("intrinsics: {fx: 554.256, fy: 554.256, cx: 320.5, cy: 240.5}\n")
     elif name == "pipeline":
         (folder / "calibration.yml").write_text(PIPELINE)
+    elif name == "mounts":
+        from tests.addons.guard.recorded import accepted_in, clip, folder_of_images  # an add-on, which may be deleted
+
+        folder_of_images(accepted_in(folder) / "night", clip())
     elif name in ("coverage", "analysis"):
         _commit(folder)
     with Path(stdout).open("w") as out, Path(stderr or os.devnull).open("w") as errors:

@@ -1,5 +1,7 @@
 """A textured room, its reference, and recordings of it as files."""
 
+import json
+import shutil
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -9,10 +11,11 @@ import numpy as np
 
 from benchmarks.guard.clips import FOCAL, Clip, Displacement, Disturbances, Room, as_recorded
 from calibration.addons.guard.keeping import kept_camera
-from calibration.addons.guard.reference import KeptCamera
+from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, Reference
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.labelling.detection import Image
 
+BASELINE = Path(__file__).parents[3] / "calibration-baseline.json"
 DATA = "0" * 64
 SECONDS, CHANGE = 3.0, 1.5
 CAMERA = Camera(FOCAL, FOCAL, 319.5, 239.5, 640, 480)
@@ -44,4 +47,14 @@ def folder_of_images(folder: Path, images: Sequence[Image]) -> Path:
     folder.mkdir(parents=True)
     for i, image in enumerate(images):
         cv2.imwrite(str(folder / f"{i:04d}.png"), image)
+    return folder
+
+
+def accepted_in(folder: Path) -> Path:
+    """Write the accepted calibration of t2rgb into a folder, and the reference of its left camera."""
+    shutil.copy(BASELINE, folder)
+    data = json.loads(BASELINE.read_text())["systems"]["t2rgb"]["data"]
+    document = json.loads(Reference(1, (reference(),)).text)
+    document["cameras"][0] |= {"system": "t2rgb", "data": data}
+    (folder / REFERENCE_FILE).write_text(json.dumps(document))
     return folder

@@ -11,9 +11,9 @@ import pytest
 
 from benchmarks.guard.clips import Displacement
 from calibration.__main__ import main
-from calibration.addons.guard.reference import REFERENCE_FILE, Reference, read_reference
+from calibration.addons.guard.reference import REFERENCE_FILE, read_reference
 from calibration.base.errors import InputError
-from tests.addons.guard.recorded import CHANGE, clip, folder_of_images, reference
+from tests.addons.guard.recorded import CHANGE, accepted_in, clip, folder_of_images
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile
 from tests.thorough import thorough
 
@@ -25,13 +25,8 @@ TURNED = Displacement((0.0, 0.3, 0.0))
 @pytest.fixture
 def repository(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a repository with an accepted calibration of t2rgb, and a reference of its left camera."""
-    shutil.copy(ROOT / "calibration-baseline.json", tmp_path)
-    data = json.loads((tmp_path / "calibration-baseline.json").read_text())["systems"]["t2rgb"]["data"]
-    document = json.loads(Reference(1, (reference(),)).text)
-    document["cameras"][0] |= {"system": "t2rgb", "data": data}
-    (tmp_path / REFERENCE_FILE).write_text(json.dumps(document))
     monkeypatch.chdir(tmp_path)
-    return tmp_path
+    return accepted_in(tmp_path)
 
 
 def check(*arguments: str) -> int:
