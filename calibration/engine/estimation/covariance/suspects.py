@@ -450,11 +450,21 @@ def _whitening_matrices(G: Array, alone: Array) -> Array:
         G: (K, n, n).
         alone: (n,), the reference of full information on each column.
     """
+    return _whitening_and_axes(G, alone)[0]
+
+
+def _inverse_roots(G: Array, alone: Array) -> Array:
+    """Return such matrices of which two are alike where their G are: axes of the columns are turned back."""
+    whitening, axes = _whitening_and_axes(G, alone)
+    return whitening @ np.swapaxes(axes, 1, 2)
+
+
+def _whitening_and_axes(G: Array, alone: Array) -> tuple[Array, Array]:
     scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
     values, vectors = np.linalg.eigh(scale[:, None] * G * scale)
     kept = values > MIN_INFORMATION_LEFT / len(G)
     root = np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
-    return np.asarray(scale[:, None] * vectors * root[:, None])
+    return np.asarray(scale[:, None] * vectors * root[:, None]), vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -550,7 +560,7 @@ def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, scor
     by_clusters = [score]
     if cause.kind == PLACE_KIND and min(step.mask.sum(), K - step.mask.sum()) < MIN_CLUSTERS_ON_A_SIDE:
         shaken = (step.mask[:, None, None] * state.arm[:, own] - step.W.T @ state.arm[:, free]).swapaxes(1, 2)
-        shaken = (shaken @ step.basis).reshape(-1, r)
+        shaken = np.concatenate([(shaken @ step.basis).reshape(-1, r), _scatter_of_others(state, step, left, noise)])
         covariance = covariance + shaken.T @ shaken
     else:
         spread = (step.mask[:, None] * left[:, own] - left[:, free] @ step.W) @ step.basis
@@ -566,6 +576,28 @@ def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, scor
     known = step.basis.T @ held
     beyond = _squared_mahalanobis(step.white, covariance + known @ known.T) / r
     return min(*by_clusters, float(score_of_f(beyond, r, DEGREES_IF_NOT_ESTIMATED))), covariance
+
+
+def _scatter_of_others(state: _State, step: _Step, left: Array, noise: float) -> Array:
+    """Return errors (n, r) of a displacement that few clusters tell, by directions in which others scatter by more.
+
+    What makes views disagree, such as images that shake, does so in some directions more than in all on average.
+
+    Args:
+        state: the model.
+        step: the step of the displacement.
+        left: (K, C), gradient of each cluster after it.
+        noise: disagreement of the clusters on average.
+    """
+    own, mask = step.own, step.mask.astype(bool)
+    G = state.G[:, own[:, None], own]
+    others = mask if mask.sum() > len(mask) / 2 else ~mask
+    pulls = left[others][:, own] @ _inverse_roots(G[others].mean(0)[None], state.alone[own])[0]
+    w, U = np.linalg.eigh(pulls.T @ pulls / others.sum())
+    beyond = U * np.sqrt(np.maximum(w - noise, 0.0))
+    effects = step.mask[:, None, None] * G - step.W.T @ state.G[:, state.free][:, :, own]
+    shaken = effects @ _inverse_roots(G, state.alone[own]) @ beyond
+    return np.asarray((np.swapaxes(shaken, 1, 2) @ step.basis).reshape(-1, step.basis.shape[1]))
 
 
 def _squared_mahalanobis(x: Array, C: Array) -> float:
