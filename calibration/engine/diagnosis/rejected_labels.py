@@ -1,8 +1,8 @@
 """Labels that do not fit the result, and views that contradict the majority: few are usual, many have a cause."""
 
-import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping
+from math import comb, sqrt
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from calibration.engine.diagnosis.limits import Limits, allowed, limit_in_labels
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.covariance.suspects import Suspect
 from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
+from calibration.engine.estimation.start.wrong_views import ARM_ERRORS
 
 MIN_WARNING_SHARE, MIN_RED_SHARE = 0.01, 0.05
 """Shares of all labels."""
@@ -31,8 +32,11 @@ MAX_NAMED_COLLECTIONS = 5
 """Number of collections that a message names."""
 MIN_RED_SHARE_OF_WRONG_VIEWS = 0.25
 """Share of a sensor's views that is a failure: so many are no accidents, whatever the rest says."""
-MIN_VIEWS_OF_NO_MOVE, MIN_RATIO_OF_NO_MOVE = 3, 3.0
-"""Views at an end of the recording that are wrong by so different turns and distances are not those of one move."""
+MAX_RATIO_OF_ONE_MOVE = (1 + 2 / ARM_ERRORS) / (1 - 2 / ARM_ERRORS)
+"""Ratio of the distances or turns by which two views of one move are wrong: each is off by `ARM_ERRORS` times an arm's
+own errors or more, and known to two of them."""
+MIN_CHANCE_OF_ACCIDENTS = 0.05
+"""Chance that so many of a sensor's wrong views lie at an end of the recording, from which on all may be accidents."""
 USUAL_CAUSE = "image and pose of different moments?"
 """Most frequent cause of a view that contradicts the others."""
 MAX_NAMED_VIEWS = 20
@@ -90,7 +94,7 @@ def _may_exceed_a_limit(calibration: Calibration, limits: Limits, count: int) ->
     """
     if calibration.of_cameras_alone:
         return True
-    pull = HUBER_THRESHOLD * math.sqrt(count)
+    pull = HUBER_THRESHOLD * sqrt(count)
     return any(
         allowed(calibration, limits, name).exceeded(*(pull * sigma for sigma in of_the_labels(calibration, name)))
         for name in stated(calibration)
@@ -197,7 +201,8 @@ def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedVi
             continue
         seen = [c.key for c in calibration.dataset.collections if view.sensor in {s for _, s in c.labels}]
         kept = [key for key in seen if (view.sensor, key) not in left_out]
-        if kept and _are_of_no_move([each for each in dropped if each.sensor == view.sensor], seen, kept):
+        wrong = [each for each in calibration.dropped_views if each.sensor == view.sensor]
+        if _may_be_an_accident(view, wrong, seen):
             continue
         if kept and view.collection == seen[-1]:
             return f"{view.sensor} has moved after collection {kept[-1]}, and the result is that of before"
@@ -206,13 +211,22 @@ def _at_an_end(calibration: Calibration, limits: Limits, dropped: list[DroppedVi
     return ""
 
 
-def _are_of_no_move(wrong: list[DroppedView], seen: list[str], kept: list[str]) -> bool:
-    """Whether the wrong views of a sensor beyond those kept are too few for one move, or off by too different poses."""
-    outside = {*seen[: seen.index(kept[0])], *seen[seen.index(kept[-1]) + 1 :]}
-    sizes = np.array([(each.mm, each.degrees) for each in wrong if each.collection in outside])
-    if len(wrong) > 2 * len(sizes):
-        return True
-    return len(sizes) >= MIN_VIEWS_OF_NO_MOVE and bool(np.all(sizes.max(0) > MIN_RATIO_OF_NO_MOVE * sizes.min(0)))
+def _may_be_an_accident(view: DroppedView, wrong: list[DroppedView], seen: list[str]) -> bool:
+    """Whether views that no move of this one explains show accidents, of which as many may lie at an end by chance.
+
+    If w of n views are wrong anywhere, the e at one of both ends are among them with ``2 C(n - e, w - e) / C(n, w)``.
+    """
+    alike = {each.collection for each in wrong if _are_of_one_move(each, view)}
+    inwards = seen if view.collection == seen[0] else seen[::-1]
+    at_end = next((i for i, key in enumerate(inwards) if key not in alike), len(seen))
+    n, w = len(seen), len({each.collection for each in wrong})
+    return w > at_end and 2 * comb(n - at_end, w - at_end) / comb(n, w) > MIN_CHANCE_OF_ACCIDENTS
+
+
+def _are_of_one_move(one: DroppedView, other: DroppedView) -> bool:
+    """Whether two views are wrong by as great a distance or as great a turn."""
+    pairs = (one.mm, other.mm), (one.degrees, other.degrees)
+    return any(max(pair) <= MAX_RATIO_OF_ONE_MOVE * min(pair) for pair in pairs)
 
 
 def _finding_on_views(sensors: tuple[str, ...], dropped: list[DroppedView], views: Counter[str], moved: str) -> Finding:

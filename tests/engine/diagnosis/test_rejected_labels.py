@@ -145,6 +145,17 @@ def test_views_at_an_end_that_are_wrong_by_other_poses_each_are_of_no_move(
     assert ("has moved" in found.text) == (severity == "red")
 
 
+@pytest.mark.parametrize(
+    ("keys", "severity"),
+    [(["028", "029"], "red"), (["009", "028", "029"], "red"), (["014", "029"], "warning"), (["000", "014"], "warning")],
+)
+def test_wrong_views_elsewhere_are_accidents_that_may_lie_at_an_end_too(
+    clean: Calibration, keys: Sequence[str], severity: Severity
+) -> None:
+    [found] = wrong_views(with_dropped(clean, ["left"], keys), Limits())
+    assert found.severity == severity
+
+
 def test_in_the_middle_few_are_a_warning(clean: Calibration) -> None:
     [found] = wrong_views(with_dropped(clean, ["left"], ["011"]), Limits())
     assert found.severity == "warning"
