@@ -9,6 +9,7 @@ from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import MAX_SPACING
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import MIN_SIZE, Pattern, grid, tag_grid
+from calibration.engine.diagnosis.finding import first_names
 from calibration.engine.estimation.residuals.statistics import median
 
 LEAST_CORNERS = 12
@@ -24,6 +25,11 @@ MIN_SCRAMBLED_MISFIT = 0.3
 LONGEST_ROW = 60
 """Limit of the number of corners, or of an aprilgrid's tags, in a row that is tried."""
 
+MIN_MIRRORED_SHARE = 0.1
+"""Share of a camera's views, mirrored or not, that is no single wrong view."""
+MAX_NAMED_COLLECTIONS = 5
+"""Number of collections that a message names."""
+
 View = tuple[IntArray, Array]
 """Ids (K,) and normalised image coordinates (K, 2) of the corners in a camera's view."""
 
@@ -35,7 +41,7 @@ def check_board_order(dataset: Dataset) -> None:
 
     Raises:
         InputError: the ids from a camera fit no homography; the message names the layout that they fit. Or they
-            are mirrored for some cameras, and not for others; if they are for all, it is harmless.
+            are mirrored for some cameras or collections, and not for others; if they are in all, it is harmless.
     """
     for name, pattern in dataset.patterns.items():
         columns = pattern.columns
@@ -69,12 +75,29 @@ def check_board_order(dataset: Dataset) -> None:
             raise InputError(
                 f"{found} are numbered by rows of {row} {what}; expected {expected} (x counts the {what} of a row)"
             )
+        for sensor in mirrored:
+            _check_sides(dataset, pattern, sensor)
         if any(mirrored.values()) and not all(mirrored.values()):
             one, other = (next(s for s, each in mirrored.items() if each is is_so) for is_so in (True, False))
             raise InputError(
                 f"{dataset.path}: sensors/{one}: its labels of pattern '{name}' look mirrored, numbered as from "
                 f"behind it or from right to left, those of '{other}' do not; look at its images and its detector"
             )
+
+
+def _check_sides(dataset: Dataset, pattern: Pattern, sensor: str) -> None:
+    """Refuse a camera that sees a pattern mirrored in some collections, as by a driver that flips since its restart."""
+    sides: dict[bool, list[str]] = {True: [], False: []}
+    for i, labels in dataset.detections(pattern.name, sensor):
+        if isinstance(labels, CornerLabels) and len(labels.ids) >= LEAST_CORNERS:
+            sides[_side_of_plane(pattern.corners[labels.ids, :2], labels.pixels) < 0].append(dataset.keys[i])
+    fewer = min(sides.values(), key=len)
+    if len(fewer) > max(1, MIN_MIRRORED_SHARE * sum(map(len, sides.values()))):
+        raise InputError(
+            f"{dataset.path}: sensors/{sensor}: its labels of pattern '{pattern.name}' in collections "
+            f"{first_names(fewer, MAX_NAMED_COLLECTIONS)} look mirrored beside those in the others; does a driver flip "
+            "its images since a restart? Flip them back, or leave these collections out"
+        )
 
 
 def _side_of_plane(plane: Array, image: Array) -> float:

@@ -87,5 +87,25 @@ def test_one_detector_that_numbers_otherwise(number: Callable[[int], int], said:
     assert said in message
 
 
+def flipped_since(first: int) -> Dataset:
+    """Images of the right camera that are upside down from a collection on."""
+
+    def change(i: int, sensor: str, label: Labels) -> Labels:
+        camera = T2RGB.sensors[sensor].camera
+        if i < first or sensor != "right_camera" or not isinstance(label, CornerLabels) or camera is None:
+            return label
+        return replace(label, pixels=label.pixels * (1, -1) + (0, camera.height - 1))
+
+    return relabelled(T2RGB, change)
+
+
+def test_images_that_are_flipped_since_some_collection() -> None:
+    n = len(T2RGB.collections)
+    message = refusal(flipped_since(n - 4))
+    assert "right_camera" in message
+    assert f"in collections {', '.join(T2RGB.keys[n - 4 :])} look mirrored" in message
+    check_board_order(flipped_since(n - 1))  # a wrong view among many
+
+
 def test_corners_that_all_cameras_number_mirrored_do_no_harm() -> None:
     check_board_order(numbered(T2RGB, lambda i: i // 11 * 11 + 10 - i % 11, "left_camera", "right_camera"))
