@@ -222,6 +222,14 @@ def slipping_belt(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, slip, False))
 
 
+def lost_zero(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """An encoder with another zero after a power cycle, degrees."""
+    edge, axis, positions = _turning(scene, rng)
+    n = len(positions)
+    offset = np.where(np.arange(n) >= rng.integers(n // 4, 3 * n // 4 + 1), np.radians(size), 0.0)
+    return _moved(scene, edge, scene.world.transforms[edge] @ _motion(axis, offset, False))
+
+
 def coarse_encoder(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """An encoder that tells only multiples of so many degrees."""
     edge, axis, positions = _turning(scene, rng)

@@ -222,10 +222,15 @@ def outliers(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     return mapped(scene, scene.cameras, spoilt)
 
 
+def _restart(scene: Scene, rng: np.random.Generator) -> int:
+    """Collection from which on something is another one: in the middle half of the recording."""
+    n = len(scene.told.collections)
+    return int(rng.integers(n // 4, 3 * n // 4 + 1))
+
+
 def zoom(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
     """A lens that is zoomed between two collections, by a share."""
-    n = len(scene.told.collections)
-    first = int(rng.integers(n // 4, 3 * n // 4 + 1))
+    first = _restart(scene, rng)
 
     def zoomed(uv: Array, camera: Camera, i: int) -> Array:
         centre = (camera.cx, camera.cy)
@@ -239,6 +244,30 @@ def principal_drift(scene: Scene, size: float, rng: np.random.Generator) -> Scen
     angle, last = rng.uniform(0, 2 * np.pi), max(1, len(scene.told.collections) - 1)
     way = size * np.array([np.cos(angle), np.sin(angle)])
     return _lasting(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: uv + way * (i / last))
+
+
+def flipped_since(scene: Scene, way: float, rng: np.random.Generator) -> Scene:
+    """A driver that flips images since its restart: 1 left is right, 2 top is bottom, 3 both."""
+    first = _restart(scene, rng)
+    later = mirrored_images(scene, way, rng).told.collections[first:]
+    return replace(scene, told=replace(scene.told, collections=(*scene.told.collections[:first], *later)))
+
+
+def moved_crop(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A region of interest that is another one since a restart, by px."""
+    first, way = _restart(scene, rng), np.array([size, 0.6 * size])
+    return mapped(scene, [one_of(scene.cameras, rng)], lambda uv, _, i: uv - way if i >= first else uv)
+
+
+def autofocus(scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+    """A focal length that differs from image to image, by a share."""
+    lengths = 1 + rng.normal(0, size, len(scene.told.collections))
+
+    def breathing(uv: Array, camera: Camera, i: int) -> Array:
+        centre = (camera.cx, camera.cy)
+        return (uv - centre) * lengths[i] + centre
+
+    return mapped(scene, [one_of(scene.cameras, rng)], breathing)
 
 
 def stabilised_images(scene: Scene, size: float, rng: np.random.Generator) -> Scene:

@@ -14,6 +14,7 @@ from calibration.engine.diagnosis.projection import projection_limit, shifts
 from calibration.engine.diagnosis.robot_tasks import breaks_by_disagreement, worst_at_tasks
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ECCENTRICITY_KIND,
+    ENCODER_KIND,
     LAG_KIND,
     PLACE_KIND,
     PROJECTION_KIND,
@@ -78,7 +79,7 @@ ADVICE_ON_CAUSE: Mapping[str, str] = {
     "border": "measure the board's border, and correct border_size",
     "link": "look at the origin of the joint that follows it in the robot's description",
     "lengths": "look at the units and the lengths of the robot's description",
-    "encoder offset": "look at this joint's zero, or calibrate its position_bias",
+    ENCODER_KIND: "look at this joint's zero, or calibrate its position_bias",
     "encoder gain": "look at this joint's unit and gear ratio",
     ECCENTRICITY_KIND: "look at this joint's gear and encoder: an error that comes again with each turn",
     SAG_KIND: "the arm bends under its weight the farther it reaches: give its poses with the bending, or record "
@@ -92,6 +93,7 @@ ADVICE_ON_CAUSE: Mapping[str, str] = {
 ADVICE_ON_CHANGE: Mapping[str, str] = {
     "size": "leave out what another board was used in, or import the collections before and after apart",
     "focal length": "fix zoom and focus, calibrate the intrinsics as they are now, and collect anew",
+    ENCODER_KIND: "reference this joint anew, as after a power cycle or a slip, and collect anew",
 }
 """Advice on what has changed between two collections."""
 AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
@@ -167,7 +169,8 @@ def _finding_on_suspect(
         if name in moved:  # else it is the sensor that is held
             moved[name], sure[name] = (_larger_of_each(of[name], (0.0, turn)) for of in (moved, sure))
     limit_of = {name: allowed(calibration, limits, name) for name in moved}
-    over = [name for name in moved if limit_of[name].exceeded(*sure[name])]
+    certain = moved if cause.kind == PLACE_KIND else sure
+    over = [name for name in moved if limit_of[name].exceeded(*certain[name])]
     is_red = bool(over)
     if not over:  # the estimate, or where few views tell its guard band, may reach over the limit
         over = [

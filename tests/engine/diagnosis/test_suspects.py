@@ -302,6 +302,17 @@ def test_an_error_of_a_joint_that_comes_again_with_each_turn_is_named() -> None:
     assert np.abs(suspect.value[:2]) == pytest.approx([0, 0.03], abs=0.005)
 
 
+def test_an_encoder_with_another_zero_since_some_collection_is_named() -> None:
+    scene = systems.jointed_arm(24, pixel_noise=NOISE)
+    T, axis = scene.transforms["j1", "j2"], np.array([0.0, 0.6, 0.8])
+    off = T.copy()
+    off[14:, :3, :3] = T[14:, :3, :3] @ rotations.exp(0.01 * axis)
+    seen = replace(scene, transforms={**scene.transforms, ("j1", "j2"): off}).dataset(1)
+    [finding, *_] = findings(seen.with_transforms({("j1", "j2"): T}), Limits(), Assumptions())
+    assert finding.text.startswith("j1-j2's encoder offset has changed from collection 014 on: off by ")
+    assert abs(finding.value or 0) == pytest.approx(0.01, abs=0.001)
+
+
 def test_too_few_collections_are_reported_as_untested() -> None:
     few = systems.stereo(4, seed=1, pixel_noise=NOISE).dataset(1)
     [finding] = findings(few)
@@ -346,6 +357,28 @@ def test_a_move_at_an_end_is_found_though_few_views_tell(first: int) -> None:
     suspect, *_ = found(knocked(first, (0.001, 0, 0, 0, 0, 0)))
     assert suspect.cause.kind == PLACE_KIND
     assert suspect.since in range(first - 1, first + 2)
+
+
+@pytest.mark.parametrize("shaken", [0.0, 0.0004])
+def test_a_move_that_few_views_tell_exceeds_how_the_others_scatter(shaken: float) -> None:
+    """A camera that nods in every view has not moved where the last two nod by more."""
+    nods = shaken * np.sin(np.arange(24.0))
+    dataset = eye_to_hand()
+    (sensor,) = dataset.sensors.values()
+    camera = sensor.camera
+    assert camera is not None
+    focal = camera.fy
+
+    def nodding(i: int, _: str, label: Labels) -> Labels:
+        by = 0.0008 if i >= 22 else nods[i]
+        return (
+            replace(label, pixels=label.pixels + np.array([0, by * focal]))
+            if isinstance(label, CornerLabels)
+            else label
+        )
+
+    suspects = found(relabelled(dataset, nodding))
+    assert any(each.cause.kind == PLACE_KIND and each.since == 22 for each in suspects) == (shaken == 0)
 
 
 def test_freedom_is_that_of_the_few_errors_that_contribute() -> None:

@@ -48,6 +48,8 @@ PLACE_KIND = "place"
 """Kind of causes that are only tested from some collection on: over all of them the pose is calibrated or gauge."""
 LINK_KIND = "link"
 """Kind of the errors of an arm's moving transforms."""
+ENCODER_KIND = "encoder offset"
+"""Kind of the error of an encoder's zero."""
 ECCENTRICITY_KIND = "eccentricity"
 """Kind of an error of a joint that comes again with each turn, and is not 0 where the encoder was zeroed."""
 SAG_KIND = "sag"
@@ -330,7 +332,7 @@ def _of_moving_edge(dataset: Dataset, edge: Edge, assume: Assumptions) -> Iterat
 
         return _on_views(dataset, edge, twists)
 
-    yield Cause("encoder offset", name, unit, (one,), along(lambda at: np.ones((len(at), 1))), counts=False)
+    yield Cause(ENCODER_KIND, name, unit, (one,), along(lambda at: np.ones((len(at), 1))), counts=False)
     yield Cause("encoder gain", name, "1", (0.0,), along(lambda at: at[:, None]))
     if not prismatic:
         once_a_turn = along(lambda at: np.stack([np.sin(at), np.cos(at), np.ones_like(at)], -1))

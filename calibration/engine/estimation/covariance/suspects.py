@@ -31,6 +31,9 @@ import numpy as np
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.estimation.covariance.error_bars import MAX_INFORMATION_WITHOUT_DECISIVE, arm_scatter
 from calibration.engine.estimation.covariance.fixed_inputs import (
+    ECCENTRICITY_KIND,
+    ENCODER_KIND,
+    LINK_KIND,
     PLACE_KIND,
     PROJECTION_KIND,
     RADIAL_KIND,
@@ -59,8 +62,10 @@ DEGREES_IF_NOT_ESTIMATED = 1e6
 """Degrees of freedom of a covariance that is not estimated."""
 MIN_CONTRADICTING_FACTOR = 3.0
 """Clusters contradict each other if they disagree by more than this times what is assumed."""
-KINDS_THAT_CHANGE = ("size", "focal length")
-"""Kinds that may change between two collections, by another board or a zoom: tested instead of a move."""
+KINDS_THAT_CHANGE = ("size", "focal length", ENCODER_KIND)
+"""Kinds that may change between two collections, by another board, a zoom or a power cycle,"""
+KINDS_LIKE_A_CHANGE = (PLACE_KIND, LINK_KIND, ECCENTRICITY_KIND)
+"""and those instead of which they are tested."""
 KINDS_OF_STRETCH = {"stretch", "stretch along x", "stretch along y"}
 """Kinds that differ by the overall scale, which the data may not determine."""
 LENS_KIND = "intrinsics"
@@ -188,27 +193,31 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
     found: list[Suspect] = []
     state = _State.at_optimum(model)
     while len(found) < MAX_FREED_CAUSES:
-        tried = [suspect for each in candidates for suspect in _test_candidates(state, each, limit)]
+        tried = [suspect for each in candidates for suspect in _test_candidates(state, each, threshold(1))]
         tried = [
             each for each in tried if not any(each.cause is one.cause and each.since == one.since for one in found)
         ]
-        significant = [each for each in tried if _is_plausible(each)]
+        plausible = [each for each in tried if _is_plausible(each)]
+        significant = [each for each in plausible if each.score > limit]
         if not significant:
             break
         most = max(each.gain for each in significant)
         near = [each for each in significant if each.gain >= MIN_GAIN_OF_ALTERNATIVE * most]
         best = min(near, key=lambda each: (each.cause.size, -round(each.gain / most, 2)))
         best = max([best, *(each for each in near if _are_stretches(each.cause, best.cause))], key=_worst_displacement)
-        by_cause = {each.cause: each for each in sorted(near, key=lambda each: each.gain)}  # the best of each
+        as_good = [each for each in plausible if each.gain >= MIN_GAIN_OF_ALTERNATIVE * most]  # each by itself
+        by_cause = {each.cause: each for each in sorted(as_good, key=lambda each: each.gain)}  # the best of each
         rivals = [
             each for each in by_cause.values() if each.cause is not best.cause and each.cause.size <= best.cause.size
         ]
         rivals.sort(key=lambda each: -each.gain)
         best = replace(best, rivals=tuple(rivals[:MAX_RIVALS]))
+        others: list[Suspect] = []
+        if best.cause.kind in KINDS_LIKE_A_CHANGE:
+            others += _suspected_changes(model, state, limit, MIN_GAIN_OF_CHANGE * best.gain)
         if best.cause.kind == PLACE_KIND:
-            others = _suspected_changes(model, state, limit, MIN_GAIN_OF_CHANGE * best.gain)
-            lenses = _suspected_lenses(model, state, limit, MIN_GAIN_OF_ALTERNATIVE * best.gain)
-            best = max((*others, *lenses), key=lambda each: each.gain, default=best)
+            others += _suspected_lenses(model, state, limit, MIN_GAIN_OF_ALTERNATIVE * best.gain)
+        best = max(others, key=lambda each: each.gain, default=best)
         found.append(best)
         state = state.with_cause(columns_of_cause(model, best.cause), best.since)
     return Explanation(tuple(found), _remaining_disagreement(model, state))
@@ -229,7 +238,7 @@ def _suspected_lenses(model: LinearModel, state: "_State", limit: float, least: 
 
 
 def _suspected_changes(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
-    """Yield the boards and lenses that explain at least so much as another one from some cluster on."""
+    """Yield the boards, lenses and encoders' zeros that explain at least so much as other ones from some cluster on."""
     K = len(state.G)
     since: list[int | None] = list(range(MIN_CLUSTERS_ON_A_SIDE, K - MIN_CLUSTERS_ON_A_SIDE + 1))
     masks = np.array([np.arange(K) >= (each or 0) for each in since])
