@@ -27,7 +27,9 @@ from calibration.engine.geometry.transforms import distance, inverse
 COLLECTION_SHIFTS = (1, -1, 2, -2)
 """Collections by which images and poses may be shifted."""
 RELATIVE_IMAGE_SIZES = (2.0, 0.5, 1.5, 2 / 3, 4 / 3, 0.75, 4.0, 0.25)
-"""Sizes of images relative to those that intrinsics are of."""
+"""Sizes of images relative to those that intrinsics are of,"""
+RELATIVE_IMAGE_WIDTHS = (2.0, 0.5)
+"""and widths of those of which only the columns are binned."""
 MAX_NAMED_COLLECTIONS = 4
 """Number of collections that a message names."""
 MOST_SENSORS = 4
@@ -123,7 +125,13 @@ def _other_lenses(recording: Recording, cameras: Mapping[str, Camera]) -> Iterat
         yield hypothesis(
             f"the camera_info of {of} for images {by:.3g} times as large",
             "take the intrinsics of the resolution that was recorded",
-            {name: _resized_camera(camera, by) for name, camera in cameras.items()},
+            {name: _resized_camera(camera, by, by) for name, camera in cameras.items()},
+        )
+    for by in RELATIVE_IMAGE_WIDTHS:
+        yield hypothesis(
+            f"the camera_info of {of} for images {by:.3g} times as wide",
+            "take the intrinsics of the resolution that was recorded, with the same binning of columns and rows",
+            {name: _resized_camera(camera, by, 1.0) for name, camera in cameras.items()},
         )
     undistorted = {name: replace(camera, distortion=type(camera.distortion)()) for name, camera in cameras.items()}
     if undistorted == cameras:
@@ -141,8 +149,8 @@ def _other_lenses(recording: Recording, cameras: Mapping[str, Camera]) -> Iterat
     )
 
 
-def _resized_camera(camera: Camera, by: float) -> Camera:
-    return replace(camera, fx=by * camera.fx, fy=by * camera.fy, cx=by * camera.cx, cy=by * camera.cy)
+def _resized_camera(camera: Camera, wide: float, high: float) -> Camera:
+    return replace(camera, fx=wide * camera.fx, fy=high * camera.fy, cx=wide * camera.cx, cy=high * camera.cy)
 
 
 def _with_radial_first(camera: Camera) -> Camera:

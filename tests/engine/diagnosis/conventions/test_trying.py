@@ -193,6 +193,14 @@ RIG_MISTAKES: dict[str, tuple[Callable[[Dataset], Dataset], str]] = {
 }
 
 
+def test_images_of_which_only_the_columns_are_binned() -> None:
+    dataset = arm()
+    camera_ = dataset.sensors["cam"].camera
+    assert camera_ is not None
+    wide = replace(camera_, fx=2 * camera_.fx, cx=2 * camera_.cx)
+    assert "the camera_info of 'cam' for images 0.5 times as wide" in first_reason(dataset.with_cameras({"cam": wide}))
+
+
 @pytest.mark.parametrize(
     "mistake", ["camera_info", *(thorough(each) for each in RIG_MISTAKES if each != "camera_info")]
 )
