@@ -18,6 +18,8 @@ MIN_WARNING_SHARE, MIN_RED_SHARE = 0.01, 0.05
 """Shares of all labels."""
 MIN_SHARE_OF_VIEW = 0.2
 """Share of the labels of one view."""
+KINDS_OF_BENDING = ("bow", "twist")
+"""Kinds of causes by which a part of every view does not fit, and which say themselves what harm they do."""
 VIEW_AT_AN_END = 0.5
 """The same of the first or the last view of a sensor: it may have moved since, or before,"""
 SEEN_OF_A_MOVE = 0.25
@@ -48,8 +50,8 @@ def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, 
 
     A label is rejected if Huber's loss gives it less than half its weight, beyond five standard deviations: for
     normal noise, 4e-6 of the corners. It is counted if its residual also exceeds `GROSS_PIXELS` or `GROSS_METRES`.
-    Many of them are a failure where they may have moved the result by more than a limit, and no board or lens that was
-    changed explains them. The robust loss may have
+    Many of them are a failure where they may have moved the result by more than a limit, and no bent board, and no
+    other board or lens explains them. The robust loss may have
     followed a minority, so more than half of them rejected, gross or not, is a failure too.
     """
     total = sum(int(np.isfinite(view.magnitudes).sum()) for view in calibration.residuals)
@@ -73,7 +75,8 @@ def rejected_labels(calibration: Calibration, limits: Limits) -> tuple[Finding, 
             f"look at their images, or leave them out"
         )
         severity: Severity = "warning"
-        if share > MIN_RED_SHARE and not any(each.is_change for each in _suspects(calibration)):
+        explained = any(each.is_change or each.cause.kind in KINDS_OF_BENDING for each in _suspects(calibration))
+        if share > MIN_RED_SHARE and not explained:
             severity = "red" if _may_exceed_a_limit(calibration, limits, len(rejected)) else "warning"
         found = Finding("rejected-labels", severity, text, (worst,), collections, share, unit="1")
         return (*_at_the_ends(calibration, limits), found)

@@ -566,11 +566,12 @@ def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, scor
     mixed = step.mask[:, None, None] * state.G[:, :, own]  # (K, C, k)
     left = state.residual + state.G[:, :, free] @ moves + mixed @ d
     covariance = noise * np.eye(r)
-    by_clusters = [score]
+    by_clusters, told_by_others = [score], np.zeros((r, r))
     if cause.kind == PLACE_KIND and min(step.mask.sum(), K - step.mask.sum()) < MIN_CLUSTERS_ON_A_SIDE:
         shaken = (step.mask[:, None, None] * state.arm[:, own] - step.W.T @ state.arm[:, free]).swapaxes(1, 2)
-        shaken = np.concatenate([(shaken @ step.basis).reshape(-1, r), _scatter_of_others(state, step, left, noise)])
-        covariance = covariance + shaken.T @ shaken
+        shaken, scatter = (shaken @ step.basis).reshape(-1, r), _scatter_of_others(state, step, left, noise)
+        told_by_others = scatter.T @ scatter
+        covariance = covariance + shaken.T @ shaken + told_by_others
     else:
         spread = (step.mask[:, None] * left[:, own] - left[:, free] @ step.W) @ step.basis
         clustered = spread.T @ spread * (K / (K - 1))
@@ -583,8 +584,12 @@ def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, scor
     if any(cause.assumed) and not cause.counts:
         held = np.concatenate([held, step.information * np.array(cause.assumed)], -1)
     known = step.basis.T @ held
-    beyond = _squared_mahalanobis(step.white, covariance + known @ known.T) / r
-    return min(*by_clusters, float(score_of_f(beyond, r, DEGREES_IF_NOT_ESTIMATED))), covariance
+    variance = covariance + known @ known.T
+    beyond = _squared_mahalanobis(step.white, variance)
+    share = 1 - beyond / _squared_mahalanobis(step.white, variance - told_by_others)  # of the variance, along the step
+    others = max(step.mask.sum(), K - step.mask.sum())
+    freedom = min(DEGREES_IF_NOT_ESTIMATED, others / max(share**2, 1e-9))  # F. E. Satterthwaite, 1946
+    return min(*by_clusters, float(score_of_f(beyond / r, r, freedom))), covariance
 
 
 def _scatter_of_others(state: _State, step: _Step, left: Array, noise: float) -> Array:
