@@ -36,7 +36,7 @@ class AtTask:
     broken: tuple[str, ...] = ()
     """All tasks whose limit it exceeds, also without what its own error makes it larger,"""
     undecided: tuple[str, ...] = ()
-    """and by its estimate alone."""
+    """and by its estimate alone, or together with their own error."""
 
     def __bool__(self) -> bool:
         return self.error is not None
@@ -64,9 +64,17 @@ def worst_at_tasks(tasks: Sequence[TaskError], changes: Sequence[Array], errors:
         if errors
     ]
     worst = max(each, key=_share_of_limit, default=AtTask())
-    over, broken = (tuple(a.error.task.name for a in of if a.error and _share_of_limit(a) > 1) for of in (each, sure))
-    broken = broken if errors else over
+    over = tuple(a.error.task.name for a in each if a.error and _reaches_over(a))
+    broken = tuple(a.error.task.name for a in (sure if errors else each) if a.error and _share_of_limit(a) > 1)
     return replace(worst, broken=broken, undecided=tuple(name for name in over if name not in broken))
+
+
+def _reaches_over(found: AtTask) -> bool:
+    """Whether a change is beyond a task's limit, or is together with the task's own error, which alone is within it."""
+    if found.error is None or (limit := found.error.task.limit) is None:
+        return False
+    own = float(found.error.most[found.error.worst])
+    return found.size > limit or own <= limit < np.hypot(found.size, own)
 
 
 def _share_of_limit(found: AtTask) -> float:

@@ -109,6 +109,17 @@ def test_a_change_that_is_no_larger_than_its_error_breaks_no_task(good: Calibrat
     assert worst_at_tasks([error], [0.01 * change], [change[:, None]]).undecided == ()
 
 
+def test_a_change_within_a_limit_that_the_error_bar_needs_too_is_undecided(good: Calibration) -> None:
+    """Each alone is within it; a small one leaves it holding."""
+    [error] = task_errors(good, [GRASP])
+    change = np.zeros(error.jacobian.shape[2])
+    change[0] = 0.001
+    size, most = error.largest_change(change), float(error.most.max())
+    near = replace(error, placed=_with_limit(error, 1.1 * max(size, most)))
+    both = [worst_at_tasks([near], [share * change], [1e-3 * change[:, None]]) for share in (1.0, 0.01)]
+    assert [(each.broken, each.undecided) for each in both] == [((), ("grasp",)), ((), ())]
+
+
 def test_collections_that_disagree_break_a_task_where_labels_are_too_noisy(good: Calibration) -> None:
     """If it would hold but for that; else, and where nothing is wrong with the labels, it is undecided."""
     [error] = task_errors(good, [GRASP])

@@ -264,3 +264,20 @@ def test_a_bag_that_is_being_written(tmp_path: Path, kind: Kind) -> None:
     assert any(line.startswith("6 collections: right_camera") for line in lines)
     assert any(line.startswith("next: 1. hold the board") for line in lines)
     assert list(recording.next_lines()) == []
+
+
+def test_a_bag_without_the_topic_that_is_named(tmp_path: Path) -> None:
+    """It is said, and no other camera is taken for it."""
+    [file] = split_bag(tmp_path, "mcap", 1, 1)
+    (tmp_path / "import.yml").write_text(
+        json.dumps(
+            {
+                "bags": {"files": [str(file)]},
+                "sensors": {"left": {"topic": "/lft/image_raw"}},
+                "patterns": {"board": PRINTED},
+            }
+        )
+    )
+    os.utime(file, (time.time() - 10,) * 2)
+    [line] = WatchedRecording(tmp_path, Limits(), tmp_path).next_lines()
+    assert "found no topic '/lft/image_raw'" in line

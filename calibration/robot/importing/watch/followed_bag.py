@@ -144,9 +144,12 @@ class FollowedBag:
 
     def _arrivals(self, bag: Bag) -> Iterator[Arrival]:
         """Yield the images of the standstills that are new."""
-        cameras = tuple(
-            s for s in self._described.sensors if s.topic in bag.topics and modality_of_topic(bag, s) == RGB
-        )
+        named = self._described.sensors
+        cameras = tuple(s for s in named if s.topic not in bag.topics or modality_of_topic(bag, s) == RGB)
+        if named and not cameras:
+            raise InputError(
+                f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is"
+            )
         described = replace(self._described, sensors=cameras)
         self._surveyed = surveyed = surveyed_bag(bag, described, self._lenses, str(self._files[0]))
         self._search(bag, surveyed)
