@@ -455,9 +455,16 @@ def _share_of_limits(tasks: Sequence[RobotTask], scene: Scene, found: Calibratio
 
 
 def _at_the_end(scene: Scene) -> Dataset:
-    """The world as it is at the end of the recording, where the robot works; what the user knows to move, moves."""
+    """The world as it is at the end of the recording, where the robot works; what the user knows to move, moves.
+
+    The plane z = 0 of a bent board is where its border is, not its outer corners, as in the scene.
+    """
     still = [edge for edge, T in scene.told.transforms.items() if np.ptp(T, axis=0).max() < STILL_TOLERANCE]
-    return scene.world.with_transforms({edge: scene.world.transforms[edge][-1] for edge in still})
+    world = scene.world.with_transforms({edge: scene.world.transforms[edge][-1] for edge in still})
+    board = scene.pattern
+    inside = np.ptp(board.corners[:, :2], axis=0) / np.ptp(board.outline, axis=0)
+    height = float(np.array(scene.shape[:2]) @ (1 - inside**-2))
+    return world.with_transforms({board.edge: world.transforms[board.edge] @ translation(np.array([0.0, 0.0, height]))})
 
 
 def _verdicts(quick: bool) -> Iterator[Row]:
