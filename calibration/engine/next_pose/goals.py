@@ -14,7 +14,7 @@ from calibration.engine.tasks.task_errors import TaskError
 
 MIN_WANTED = 1e-9
 """mm, deg: least of what is wanted of an error; a limit may be 0."""
-MAX_POINTS = 16
+MAX_POINTS = 6
 """Points of a task that are looked at."""
 _UNITS: tuple[tuple[TaskUnit, str, float], ...] = (("mm", "m", 1e3), ("deg", "rad", 180 / np.pi))
 """Of limits, of the parameters, and their ratio."""

@@ -51,8 +51,15 @@ def _probability_within(x: Array, sizes: Array, weights: Array) -> tuple[Array, 
     """Return the probability (n,) of an error up to x (n,), and its derivative."""
     with np.errstate(divide="ignore", invalid="ignore"):
         lengths = np.where(sizes > 0, x[:, None] / sizes, _LENGTHS[-1])
-        slopes = np.where(sizes > 0, np.interp(lengths, _LENGTHS, _DENSITY, right=0.0) / sizes, 0.0)
-    return np.interp(lengths, _LENGTHS, _DISTRIBUTION, right=1.0) @ weights, slopes @ weights
+        slopes = np.where(sizes > 0, _between(lengths, _DENSITY) / sizes, 0.0)
+    return _between(lengths, _DISTRIBUTION) @ weights, slopes @ weights
+
+
+def _between(lengths: Array, values: Array) -> Array:
+    """Interpolate values at `_LENGTHS`, the last one beyond them: ten times as fast as by a search."""
+    at = np.minimum(lengths / _LENGTHS[1], len(values) - 1)
+    low = np.minimum(at.astype(int), len(values) - 2)
+    return np.asarray(values[low] + (at - low) * (values[low + 1] - values[low]))
 
 
 def _sizes_by_direction(S: Array) -> tuple[Array, Array]:
