@@ -44,7 +44,7 @@ class DatasetCamera:
     sigma_deg: tuple[Positive, ...] | None = field("And of the rotation.", unit="degrees", default=None)
     pose_column: Name | None = field(
         "Column with the pose of its parent in a frame that stands: x, y, z and roll, pitch, yaw, or a quaternion "
-        "xyzw; of a camera that is carried.",
+        "xyzw; of a camera that is carried. NAME[0:6] of one with more numbers.",
         default=None,
     )
 

@@ -1,6 +1,7 @@
 """Whether the cameras of a dataset stay where they are: one answer a camera and episode, and a table for its card."""
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -44,6 +45,8 @@ LONGEST_SECONDS = 3600.0
 """s: an episode whose video says no length is looked at up to here."""
 FOCAL_OF_WIDTH = 0.9
 """Focal length of a camera of which nobody knows it, in widths of its image: 58 degrees of view."""
+PART_OF_COLUMN = re.compile(r"\[(\d{1,4}):(\d{1,4})\]$")
+"""Of the name of a column: those of its numbers that are the pose."""
 NO_DATA = "0" * 64
 
 
@@ -177,7 +180,9 @@ def _nominal_camera(images: CameraImages) -> Camera:
 
 
 def _check_carried(key: str, camera: DatasetCamera, episode: Episode, video: EpisodeVideo) -> SensorCheck:
-    times, values = episode.column(camera.pose_column or "")
+    name, *part = PART_OF_COLUMN.split(camera.pose_column or "")
+    times, values = episode.column(name)
+    values = values[:, slice(*map(int, filter(None, part)))] if part else values
     T = _poses_of_column(values, f"{episode.data}: {camera.pose_column}")
     number = min(MAX_MOMENTS, int((times[-1] - times[0]) / MOMENT_STEP) + 1)
     wanted = np.linspace(times[0], times[-1], number)

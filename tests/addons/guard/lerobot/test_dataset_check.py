@@ -73,10 +73,10 @@ def test_folders_as_those_of_droid_are_read_without_the_wrist(tmp_path: Path) ->
     assert [(each.sensor, each.outcome) for (each,) in found.values()] == [("111", "unmoved"), ("111", "moved")]
 
 
-def test_a_camera_that_is_carried_is_checked_by_its_column_of_poses(tmp_path: Path) -> None:
-    poses = np.zeros((COUNT, 6))
-    folder = write_dataset(tmp_path / "set", "v2.1", [frames()], poses)
-    camera = camera_of_dataset("hand", CAMERA, accepted_cameras(), pose_column="hand")
+@pytest.mark.parametrize(("numbers", "column"), [(8, "hand[0:6]"), thorough(6, "hand")])
+def test_a_camera_that_is_carried_is_checked_by_its_column_of_poses(numbers: int, column: str, tmp_path: Path) -> None:
+    folder = write_dataset(tmp_path / "set", "v2.1", [frames()], np.zeros((COUNT, numbers)))
+    camera = camera_of_dataset("hand", CAMERA, accepted_cameras(), pose_column=column)
     (found,) = check_dataset(folder, DatasetCalibration(1, {KEY: camera}), ())["episode 000000"]
     assert found.outcome == "cannot-tell"
     assert "0.0 mm" in found.reason  # by the motion of what carries it, and that stands
