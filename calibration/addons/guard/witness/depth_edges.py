@@ -86,7 +86,10 @@ class EdgeCandidates:
     @property
     def columns(self) -> IntArray:
         """Columns (M, WIDTH) of the unknowns on which each candidate depends."""
-        moments = self.moments[self.edges]
+        return self.columns_of(self.moments[self.edges])
+
+    def columns_of(self, moments: IntArray) -> IntArray:
+        """Return the columns (N, WIDTH) of the unknowns of moments."""
         shared = np.broadcast_to(6 * self.number + np.arange(LENS_COLUMNS), (len(moments), LENS_COLUMNS))
         return np.concatenate([6 * moments[:, None] + np.arange(6), shared], 1)
 
@@ -124,8 +127,9 @@ class EdgeEvidence:
 
 def depth_edges(points: Array) -> DepthEdges:
     """Return where the depth of a scan jumps: points (N, 3) in the LiDAR's frame, not finite where nothing returned."""
+    away = abs(points).max(-1, initial=0.0)  # not a number, and so left out, where nothing returned
+    points = points[(away > MIN_RANGE_M) & (away < MAX_RANGE_M)]
     ranges = np.linalg.norm(points, axis=-1)
-    points, ranges = (each[(ranges > MIN_RANGE_M) & (ranges < MAX_RANGE_M)] for each in (points, ranges))
     rays = points / ranges[:, None]
     azimuth, elevation = np.arctan2(rays[:, 1], rays[:, 0]), np.arcsin(np.clip(rays[:, 2], -1, 1))
     near, far = [], []
@@ -245,7 +249,7 @@ def edge_evidence(candidates: EdgeCandidates, lens_sigmas: Array) -> EdgeEvidenc
         return None
     sigma = float(np.sqrt((c.scores(x) ** 2).sum() / (len(c.edges) - 6 * K)))
     c = replace(c, sigmas=c.sigmas * max(sigma, 1.0), clusters=np.unique(c.clusters, return_inverse=True)[1])
-    S, b = _normal_equations(c, np.ones(len(c.edges)), c.residuals, n)
+    S, b = _normal_equations(c, np.ones(len(c.edges)), n)
     return EdgeEvidence(S, b, c, agreement)
 
 
@@ -256,7 +260,7 @@ def _fitted(c: EdgeCandidates, lens_sigmas: Array, n: int, widest: float) -> Arr
     for scale in np.geomspace(widest, LAST_SIGMAS, KERNELS).tolist():
         r = c.scores(x)
         weights = _is_nearest(c.edges, r) * (1 + (r / scale) ** 2) ** -2
-        S, g = _normal_equations(c, weights, c.residuals, n)
+        S, g = _normal_equations(c, weights, n)
         x = np.asarray(np.linalg.solve(S + prior, g), float)
     return x
 
@@ -280,9 +284,13 @@ def _is_nearest(edges: IntArray, r: Array) -> BoolArray:
     return nearest
 
 
-def _normal_equations(c: EdgeCandidates, weights: Array, residuals: Array, n: int) -> tuple[Array, Array]:
-    S, g, at = np.zeros((n, n)), np.zeros(n), c.columns
-    scaled = (weights / c.sigmas**2)[:, None] * c.by_unknowns
-    np.add.at(S, (at[:, :, None], at[:, None, :]), scaled[:, :, None] * c.by_unknowns[:, None])
-    np.add.at(g, at, scaled * residuals[:, None])
+def _normal_equations(c: EdgeCandidates, weights: Array, n: int) -> tuple[Array, Array]:
+    """Return the weighted normal equations (n, n), (n,), summed moment by moment."""
+    used = weights > 0
+    J, moments = c.by_unknowns[used], c.moments[c.edges[used]]
+    scaled = (weights[used] / c.sigmas[used] ** 2)[:, None] * J
+    blocks = sums_of_groups(scaled[:, :, None] * J[:, None], moments)
+    at, S, g = c.columns_of(np.arange(len(blocks))), np.zeros((n, n)), np.zeros(n)
+    np.add.at(S, (at[:, :, None], at[:, None, :]), blocks)
+    np.add.at(g, at, sums_of_groups(scaled * c.residuals[used, None], moments))
     return S, g

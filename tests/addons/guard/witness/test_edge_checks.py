@@ -84,6 +84,13 @@ def test_a_floor_at_a_slant_has_no_edges() -> None:
     assert len(depth_edges(floor).at) > 30
 
 
+def test_a_scan_that_returned_nothing_has_no_edges() -> None:
+    for scan in (np.zeros((0, 3)), np.full((9, 3), np.nan), np.full((9, 3), 1e300), np.ones((2, 3))):
+        assert len(depth_edges(scan).at) == 0
+    seen = RigInRoom(1, moments=9).seen()
+    assert check_by_edges(replace(seen, scans=[np.zeros((0, 3))] * 9)).outcome == "cannot-tell"
+
+
 def test_a_bag_of_a_rig_that_stands_names_the_camera_or_the_lidar(tmp_path: Path) -> None:
     bag = bag_of(tmp_path, RigInRoom(1, still=True), np.r_[0, 0, 0, 0, 2 * TURN, 0])
     found = checks_of(bag)
