@@ -96,6 +96,8 @@ ADVICE_ON_CHANGE: Mapping[str, str] = {
     ENCODER_KIND: "reference this joint anew, as after a power cycle or a slip, and collect anew",
 }
 """Advice on what has changed between two collections."""
+MIN_MOVES_OF_UNSTEADY = 2
+"""Number of moves within a recording from which on it is rather something that does not stand still."""
 AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
 MAX_NAMED_COLLECTIONS = 4
 """Number of contradicting collections that are named, each at least half as bad as the worst one."""
@@ -120,7 +122,9 @@ def what_does_not_fit(calibration: Calibration, limits: Limits, tasks: Sequence[
     found.sort(key=lambda each: _limits_moved(calibration, limits, *each), reverse=True)
     findings = [finding for finding, _ in found]
     findings = [*_find_failure_together(calibration, limits, suspects, findings, tasks), *findings]
-    findings += _find_contradictions(calibration, limits, explanation.disagreement, tasks)
+    contradictions = _find_contradictions(calibration, limits, explanation.disagreement, tasks)
+    moves = sum(each.cause.kind == PLACE_KIND for each in suspects)
+    findings = [*findings, *contradictions] if moves < MIN_MOVES_OF_UNSTEADY else [*contradictions, *findings]
     return tuple(findings) or (_note_without_suspects(calibration),)
 
 

@@ -14,7 +14,7 @@ from calibration.engine.diagnosis.rejected_labels import rejected_labels
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
-from calibration.engine.estimation.covariance.suspects import Disagreement, Suspect, explain
+from calibration.engine.estimation.covariance.suspects import Disagreement, Explanation, Suspect, explain
 from calibration.engine.estimation.least_squares.label_columns import ring_column
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.engine.estimation.residuals.ray_residuals import elevations
@@ -429,6 +429,17 @@ def test_what_few_views_tell_is_as_unsure_as_it_moves_the_sensor() -> None:
     [note] = findings(dataset, Limits(translation_mm=1, rotation_deg=0.1), Assumptions())
     assert note.severity == "note"
     assert note.text.startswith("board has moved from collection 022 on")
+
+
+def test_what_would_have_moved_twice_rather_contradicts_itself() -> None:
+    calibration = calibrate(knocked(16, (0.001, 0, 0, 0, 0, 0)), Options(assume=ALL_EXACT))
+    explanation = calibration.solution.explanation
+    assert explanation is not None
+    move, disagreement = explanation.suspects[0], explanation.disagreement
+    contradicting = replace(disagreement, found=1e4 * disagreement.assumed)
+    for suspects, first in (((move,), "suspect"), ((move, replace(move, since=8)), "contradiction")):
+        calibration.solution.__dict__["explanation"] = Explanation(suspects, contradicting)
+        assert what_does_not_fit(calibration, Limits())[0].kind == first
 
 
 def test_views_that_contradict_each_other_are_red_where_the_result_is_rather_off_than_not() -> None:
