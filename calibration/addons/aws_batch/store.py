@@ -22,6 +22,7 @@ from calibration.addons.aws_batch.session import Aws, aws_errors, error_code, pa
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import JOBS_PER_FILE, Input, Location, job_entry, jobs_document, mount_targets
 from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.files import writing
 from calibration.ci.execution.job import Job
 
 Result = TypeVar("Result")
@@ -207,13 +208,10 @@ class Store:
         with closing(answer["Body"]) as body:
             if answer["ContentLength"] != size:
                 return ""
-            try:
-                with path.open("xb") as file:
-                    while chunk := self._read_chunk(body):
-                        digest.update(chunk)
-                        file.write(chunk)
-            except OSError as error:
-                raise InfrastructureError(f"{path}: cannot be written: {error.strerror or error}") from error
+            with writing(path), path.open("xb") as file:
+                while chunk := self._read_chunk(body):
+                    digest.update(chunk)
+                    file.write(chunk)
         return digest.hexdigest()
 
     def keys(self, prefix: str) -> Iterator[str]:

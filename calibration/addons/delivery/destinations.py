@@ -27,7 +27,7 @@ from calibration.addons.delivery.manifest import (
     version_order,
 )
 from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base.files import read_bytes, write_atomically, writing
 from calibration.ci.workflow import Runner
 
 ATTESTATION_IN_FOLDER = f"attestation{ATTESTATION_ENDING}"
@@ -223,12 +223,10 @@ class DeliveryFolder:
         self._target = self.folder / delivery.manifest.version
         if os.path.lexists(self._target):
             raise InputError(f"{self._target}: this exists already, expected no delivery of this version")
-        try:
+        with writing(self.folder, "the bundle"):
             self.folder.mkdir(parents=True, exist_ok=True)
             self._staged = Path(tempfile.mkdtemp(prefix=".delivery-", dir=self.folder))
             self._staged.chmod(0o755)
-        except OSError as error:
-            raise InfrastructureError(f"{self.folder}: the bundle cannot be written: {error.strerror}") from None
         for name, content in delivery.files.items():
             write_atomically(self._staged / name, content)
 

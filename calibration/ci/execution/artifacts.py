@@ -10,7 +10,8 @@ from fnmatch import translate
 from functools import cached_property
 from pathlib import Path
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.errors import InputError
+from calibration.base.files import writing
 from calibration.base.text import shorten
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.ci.execution.job import Artifact, Container
@@ -215,10 +216,9 @@ def _fresh_folder(folder: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``folder``, which is removed at the end of the block."""
     fresh = folder.with_name(f".{folder.name}-{os.urandom(6).hex()}")
     try:
-        fresh.mkdir(parents=True)
-        yield fresh
-    except OSError as error:
-        raise InfrastructureError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        with writing(folder):
+            fresh.mkdir(parents=True)
+            yield fresh
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
 

@@ -39,7 +39,7 @@ from calibration.addons.aws_batch.wire import (
     read_job,
 )
 from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.base.files import write_atomically
+from calibration.base.files import write_atomically, writing
 from calibration.base.process import terminate_cleanly
 from calibration.base.text import one_line, shorten
 from calibration.ci.execution.extraction import RefusedError, path_parts
@@ -65,10 +65,8 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
     scripts = {container.name: script_of(container, task.job) for container in task.job.containers}
     for item in task.inputs:
         _fill_volume(item, store, mounts / str(item.volume))
-    try:
+    with writing(output):
         output.chmod(0o1777)  # images may have any user
-    except OSError as error:
-        raise InfrastructureError(f"{output}: cannot be written: {error.strerror}") from error
     signs.make(task.job)
     for name, script in scripts.items():
         path = signs.folder / f"{name}.sh"

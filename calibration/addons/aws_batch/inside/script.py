@@ -14,7 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from calibration.addons.aws_batch.wire import JOB_FOLDER
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base.errors import InputError
+from calibration.base.files import writing
 from calibration.ci.execution.job import Container, Job
 
 STOP_SIGN, START_SIGN, STATE_FOLDER = "stop", "start", "state"
@@ -43,14 +44,12 @@ class Signs:
         Raises:
             InfrastructureError: a folder cannot be created.
         """
-        try:
+        with writing(self.folder):
             (self.folder / START_SIGN).mkdir(parents=True, exist_ok=True)
             for container in job.containers:
                 state = self.folder / STATE_FOLDER / container.name
                 state.mkdir(parents=True, exist_ok=True)
                 state.chmod(0o1777)  # the image defines the user
-        except OSError as error:
-            raise InfrastructureError(f"{self.folder}: cannot be written: {error.strerror or error}") from error
 
     def start(self, name: str) -> None:
         """Permit a container to start.
@@ -102,10 +101,8 @@ class Signs:
         return None
 
     def _write_sign(self, path: Path) -> None:
-        try:
+        with writing(path):
             path.touch()
-        except OSError as error:
-            raise InfrastructureError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 GRACE_SECONDS = 5
