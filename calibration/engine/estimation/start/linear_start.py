@@ -35,6 +35,8 @@ from calibration.engine.estimation.start.robot_world import RobotWorld, solve_ro
 from calibration.engine.estimation.start.sights import Sight
 from calibration.engine.geometry.transforms import inverse
 
+MIN_TRAVEL = 1e-3
+"""Travel of a robot along an axis (m) below which it stands still, however its encoders tremble."""
 SINGLE_AXIS = 0.002
 """rad: rotations of a robot that tilt every direction by less than this, about all but one axis, are insufficient."""
 
@@ -259,7 +261,7 @@ class _Search:
         why_not = ""
         for (first, second), A, B in sorted(problems, key=lambda problem: -len(problem[1])):
             solution = solve_robot_world_robustly(A, B)
-            too_poor = self._why_motion_is_too_poor(first, second, solution, len(A))
+            too_poor = self._why_motion_is_too_poor(first, second, solution, B)
             if not too_poor:
                 for link, T in ((first, solution.X), (second, solution.Y)):
                     self._set_block(link.block, inverse(T) if link.inverted else T)
@@ -306,15 +308,20 @@ class _Search:
             self._set_block(block, inverse(X) if inverted else X)
         return X is not None
 
-    def _why_motion_is_too_poor(self, first: Link, second: Link, solution: RobotWorld, views: int) -> str:
-        """Return the reason why a motion cannot separate the two unknowns; empty if it can."""
+    def _why_motion_is_too_poor(self, first: Link, second: Link, solution: RobotWorld, motion: Array) -> str:
+        """Return why a robot's motion, poses (N, 4, 4), cannot separate the two unknowns; empty if it can."""
         blocks = [self.problem.blocks[link.block] for link in (first, second)]
         what = f"{self.setup.dataset.path}: '{blocks[0].name}' and '{blocks[1].name}' cannot be told apart"
         axes = solution.spectrum.axes(SINGLE_AXIS)
         known = next((b.name for b in blocks if b.name in self.setup.dataset.patterns), blocks[1].name)
         or_hold = f", or hold '{known}' if its place in the dataset is known to be right"
-        if views < 3:
-            return f"{what}: {views} views, at least 3 with different rotations are needed{or_hold}"
+        if len(motion) < 3:
+            return f"{what}: {len(motion)} views, at least 3 with different rotations are needed{or_hold}"
+        if axes == 0 and np.ptp(motion[:, :3, 3], axis=0).max() < MIN_TRAVEL:
+            return (
+                f"{what}: the robot never moves; name the frames of the arm that does (base, tool and parent in "
+                "import.yml), with its poses at the images"
+            )
         if axes == 0:
             return f"{what}: the robot never rotates; add collections with rotations about two axes{or_hold}"
         if axes == 1 and blocks[1].edge:
