@@ -462,6 +462,7 @@ TARGETS: Mapping[str, Target] = {
     "intrinsics-covariance": Target("intrinsics.json", _left_by_a_run("intrinsics.json"), read_intrinsics, 4),
     "import.yml": Target("import.yml", lambda: [IMPORT], read_description, 4),
     "intrinsics": Target("camera.yaml", lambda: [CAMERA_INFO, CAMCHAIN, OPENCV], read_lens, 4),
+    "intrinsics-in-text": Target("mtx.txt", lambda: [b"500 0 320\n0 500 240\n0 0 1\n"], read_lens, 2),
     "camchain": Target("camchain.yaml", lambda: [STEREO], partial(read_lens, name="cam1"), 4),
     "hand-eye-samples": Target("robot.samples", _hand_eye("robot.samples", "moveit.yaml"), _poses, 4),
     "pairs-of-poses": Target("pairs.csv", _hand_eye("pairs.csv"), _poses, 10),

@@ -96,6 +96,10 @@ class SensorDescription:
         "Without one they are calibrated, from a start that the corners give.",
         default=None,
     )
+    distortion: Path | None = field(
+        "File with its distortion coefficients, where 'intrinsics' is a matrix alone (mtx.npy and dist.npy).",
+        default=None,
+    )
     model: Name | None = field(
         "Lens model of the coefficients in that file, where it states none or a wrong one; without a file, of the lens "
         "that is calibrated: plumb_bob, rational_polynomial, equidistant (cv2.fisheye), eucm, double_sphere or omni.",
@@ -348,6 +352,8 @@ class ImportDescription:
         if self.bags is not None or self.samples is None:
             for pattern in self.patterns:
                 pattern.check_printed()
+        if stray := [each.name for each in self.sensors if each.distortion is not None and each.intrinsics is None]:
+            raise Misfit(f"sensors: '{stray[0]}': found 'distortion', expected 'intrinsics' beside it: a matrix alone")
         if self.bags is not None:
             self._check_bags()
             return

@@ -136,7 +136,11 @@ def described_lenses(config: Path, described: ImportDescription) -> tuple[dict[s
         InputError: a file of intrinsics or the name of a model is wrong.
     """
     cameras = described.sensors
-    lenses = {each.name: read_lens(each.intrinsics, each.camera, each.model) for each in cameras if each.intrinsics}
+    lenses = {
+        each.name: read_lens(each.intrinsics, each.camera, each.model, each.distortion)
+        for each in cameras
+        if each.intrinsics
+    }
     models = {each.name: known_model(config, each.model) for each in cameras if each.model and not each.intrinsics}
     return lenses, models
 

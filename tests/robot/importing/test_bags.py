@@ -259,6 +259,10 @@ def refusal(config: Path) -> str:
             {"sensors": {"left": {"topic": "/left_camera/image_raw", "parent": "nowhere"}}},
             "'nowhere' is not above 'camera_left_rgb_optical_frame'",
         ),
+        (
+            {"sensors": {"left": {"topic": "/left_camera/image_raw", "distortion": "dist.txt"}}},
+            "'left': found 'distortion', expected 'intrinsics' beside it",
+        ),
         ({"patterns": {"board": {**BOARD, "parent": "hand"}}}, "found no frame 'hand'"),
         ({"patterns": {"board": {**BOARD, "dictionary": "DICT_6X6_250"}}}, "another dictionary, DICT_5X5_100"),
         ({"patterns": {"board": {**BOARD, "columns": 6}}}, "columns and rows"),

@@ -93,6 +93,37 @@ def test_no_deviation_is_none(tmp_path: Path, deviations: dict[str, object]) -> 
     assert (lens.uncertainty is None) == ("cameraMatrix_std_dev" in deviations)
 
 
+MATRIX, COEFFICIENTS = np.array([[500, 0, 320], [0, 501, 240], [0, 0, 1]]), np.array([-0.1, 0.2, 1e-3, -1e-3, 0.05])
+
+
+@pytest.mark.parametrize("ending", ["txt", "csv", "npy"])
+def test_a_matrix_and_its_coefficients_in_two_files(tmp_path: Path, ending: str) -> None:
+    for name, values in (("mtx", MATRIX), ("dist", COEFFICIENTS[None])):
+        if ending == "npy":
+            np.save(tmp_path / f"{name}.npy", values)
+        else:
+            np.savetxt(tmp_path / f"{name}.{ending}", values, delimiter="," if ending == "csv" else " ")
+    lens = read_lens(tmp_path / f"mtx.{ending}", distortion=tmp_path / f"dist.{ending}")
+    assert lens.camera.intrinsics.tolist() == [500, 501, 320, 240, *COEFFICIENTS]
+    assert not lens.has_size
+
+
+@pytest.mark.parametrize(
+    ("matrix", "coefficients", "said"),
+    [
+        ("1 2 3", "", "mtx.txt: K: found a list of 3, expected a list of 9"),
+        ("500 0 320\n0 501 240\n0 0 1", "some: text", "dist.txt: found no coefficients, expected numbers alone"),
+        ("500 0 320\n0 501 240\n0 0 1", "0 nan 0 0 0", "dist.txt.*found nan"),
+        ("camera_matrix: [1]\nD: [0]", "0 0 0 0 0", "mtx.txt: found no matrix alone"),
+    ],
+)
+def test_a_matrix_in_text_that_is_none(tmp_path: Path, matrix: str, coefficients: str, said: str) -> None:
+    (tmp_path / "mtx.txt").write_text(matrix)
+    (tmp_path / "dist.txt").write_text(coefficients)
+    with pytest.raises(InputError, match=said):
+        read_lens(tmp_path / "mtx.txt", distortion=tmp_path / "dist.txt" if coefficients else None)
+
+
 @pytest.mark.parametrize(
     ("deviations", "said"),
     [

@@ -100,20 +100,28 @@ class KnownLens:
     """How well the intrinsics are known, where the file says so."""
 
 
-def read_lens(path: Path, name: str | None = None, model: str | None = None) -> KnownLens:
+def read_lens(
+    path: Path, name: str | None = None, model: str | None = None, distortion: Path | None = None
+) -> KnownLens:
     """Read the intrinsics from a file, whose format is recognised by its keys.
 
     Args:
         path: path of the file.
         name: of the camera, in a file of several.
         model: lens model, whatever the file says of it.
+        distortion: file of the coefficients, if the first is a matrix alone.
 
     Raises:
         InputError: the file cannot be read, has an unknown format, has several cameras or none of this name, or
             something in it is missing or wrong.
     """
     chosen = None if model is None else known_model(path, model)
-    found = _read_lens(read_structured(path, "a file of intrinsics"), name, chosen)
+    root = read_structured(path, "a file of intrinsics")
+    if isinstance(root.value, list):  # a matrix alone, as numpy.save and numpy.savetxt write it
+        root = Node(path, (), {"K": root.value})
+    if distortion is not None:
+        root = _with_coefficients(root, distortion)
+    found = _read_lens(root, name, chosen)
     camera = found.camera
     if found.has_size and not (0 <= camera.cx <= camera.width and 0 <= camera.cy <= camera.height):
         raise InputError(
@@ -122,6 +130,17 @@ def read_lens(path: Path, name: str | None = None, model: str | None = None) -> 
             "Correct the size, or leave out 'intrinsics' and let them be calibrated"
         )
     return found
+
+
+def _with_coefficients(root: Node, path: Path) -> Node:
+    """Return a camera's matrix with the distortion of another file."""
+    if _first_present(root, _KEYS_OF_VALUE["D"]) or not _first_present(root, _KEYS_OF_VALUE["K"]):
+        raise root.fault("found no matrix alone, expected one beside the file 'distortion' of import.yml")
+    other = read_structured(path, "a file of distortion coefficients")
+    coefficients = other if isinstance(other.value, list) else _first_present(other, _KEYS_OF_VALUE["D"])
+    if coefficients is None:
+        raise other.fault(f"found no coefficients, expected numbers alone, or one of {', '.join(_KEYS_OF_VALUE['D'])}")
+    return Node(root.file, (), {**root.mapping(), "D": flat_numbers(coefficients)})
 
 
 def known_model(path: Path, model: str) -> str:
@@ -136,8 +155,6 @@ def known_model(path: Path, model: str) -> str:
 
 
 def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
-    if isinstance(root.value, list):
-        root = Node(root.file, (), {"K": root.value})  # a matrix alone, as numpy.save writes it
     document = root.mapping()
     if "value0" in document:
         info, T_chain_camera = basalt_as_camera_info(root, name)

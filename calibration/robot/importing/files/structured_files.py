@@ -1,4 +1,4 @@
-"""Files of other tools as one kind of document: YAML, JSON, TOML, OpenCV's XML, ROS's INI, arrays of numpy."""
+"""Files of other tools as one kind of document: YAML, JSON, TOML, OpenCV's XML, ROS's INI, numpy's arrays and text."""
 
 import io
 import json
@@ -51,6 +51,15 @@ def _parse_yaml_file(data: bytes, path: Path) -> Any:
     if data.startswith(b"%YAML"):  # OpenCV's first line is not valid in YAML 1.1 (``%YAML:1.0``)
         data = b"#" + data
     return parse_yaml(data, path)
+
+
+def _parse_text_file(data: bytes, path: Path) -> Any:
+    """Parse rows of numbers, as numpy.savetxt writes them, or else YAML."""
+    lines = [line for line in data.decode("utf-8", "replace").splitlines() if line.strip() and line.lstrip()[0] != "#"]
+    rows = [line.strip(" \t[],;").replace(",", " ").split() for line in lines]
+    if not rows or not all(is_number(word) for row in rows for word in row):
+        return _parse_yaml_file(data, path)
+    return [[float(word) for word in row] for row in rows]
 
 
 def _parse_json_file(data: bytes, path: Path) -> Any:
@@ -145,6 +154,8 @@ def _parse_arrays(data: bytes, path: Path) -> Any:
 
 PARSER_OF_ENDING: Mapping[str, Callable[[bytes, Path], Any]] = {
     ".json": _parse_json_file,
+    ".txt": _parse_text_file,
+    ".csv": _parse_text_file,
     ".toml": _parse_toml,
     ".xml": _parse_xml,
     ".npz": _parse_arrays,
