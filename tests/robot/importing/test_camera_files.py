@@ -93,6 +93,25 @@ def test_no_deviation_is_none(tmp_path: Path, deviations: dict[str, object]) -> 
     assert (lens.uncertainty is None) == ("cameraMatrix_std_dev" in deviations)
 
 
+@pytest.mark.parametrize(
+    "document",
+    [
+        {"width": 640, "height": 480, "fx": 500, "fy": 501, "ppx": 320, "ppy": 240, "coeffs": [-0.1, 0.2, 0, 0, 0]},
+        {
+            "image_size_wh": {"width": 640, "height": 480},
+            "intrinsics_K": {"fx": 500, "fy": 501, "cx": 320, "cy": 240},
+            "distortion": {"model": "opencv_standard", "coefficients": [-0.1, 0.2, 0, 0, 0]},
+        },
+    ],
+)
+def test_intrinsics_by_their_names(tmp_path: Path, document: object) -> None:
+    (tmp_path / "file.json").write_text(json.dumps(document))
+    lens = read_lens(tmp_path / "file.json")
+    assert lens.has_size
+    assert (lens.camera.width, lens.camera.height) == (640, 480)
+    assert lens.camera.intrinsics.tolist() == [500, 501, 320, 240, -0.1, 0.2, 0, 0, 0]
+
+
 MATRIX, COEFFICIENTS = np.array([[500, 0, 320], [0, 501, 240], [0, 0, 1]]), np.array([-0.1, 0.2, 1e-3, -1e-3, 0.05])
 
 

@@ -50,15 +50,15 @@ _KEYS_OF_VALUE = {
     "height": ("image_height", "height", "image_Height", "imageHeight", "img_height"),
     "K": (
         *("camera_matrix", "K", "k", "Camera_Matrix", "cameraMatrix", "intrinsic_matrix", "mtx", "matrix", "cam_mat"),
-        *("intrinsics", "camera_intrinsics"),
+        *("intrinsics", "camera_intrinsics", "intrinsics_K", "intrinsic", "Intrinsic"),
     ),
     "D": (
         *("distortion_coefficients", "D", "d", "Distortion_Coefficients", "distCoeffs", "dist_coeffs", "distortion"),
-        *("dist", "distortions"),
+        *("dist", "distortions", "distortion_coeffs", "coeffs"),
     ),
 }
 """Keys of ROS, of OpenCV's samples, and of those who save what OpenCV returns."""
-_SIZE_KEYS = ("cameraResolution", "size", "image_size", "img_size", "resolution")
+_SIZE_KEYS = ("cameraResolution", "size", "image_size", "img_size", "resolution", "image_size_wh")
 """Keys of width and height: of OpenCV's interactive-calibration, of anipose and multical."""
 _MODEL_KEYS = ("distortion_model", "camera_model")
 """Keys of the lens model: of camera_info, and of the files of camera_calibration."""
@@ -177,8 +177,6 @@ def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
         return _of_our_storage(root, numbered, name)
     if name is not None:
         raise root.fault(f"has one camera without a name, expected '{name}': leave out 'camera'")
-    if isinstance(root.value.get("intrinsics"), dict) and "fx" in root.value["intrinsics"]:
-        return _robot_cal_tools(root["intrinsics"])
     if "intrinsics" in root.value and isinstance(root.value.get("distortion"), dict) and "type" in root.value:
         root = aslam_as_camera_info(root)
     return _camera_info(root, model)
@@ -266,14 +264,19 @@ def _rigid_transform(node: Node) -> Array:
     return transform(R, T[:3, 3])
 
 
-def _robot_cal_tools(node: Node) -> KnownLens:
-    fx, fy, cx, cy = (node[key].number() for key in ("fx", "fy", "cx", "cy"))
-    K = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    return _without_size(node, {"K": K, "D": [], "distortion_model": "plumb_bob"})
+def _flat_matrix(node: Node) -> list[Any]:
+    """Return a camera's matrix as a flat list, from its numbers, or from fx, fy, cx, cy (librealsense: ppx, ppy)."""
+    if not isinstance(node.value, dict) or "fx" not in node.value:
+        return flat_numbers(node)
+    principal_point = ("ppx", "ppy") if "ppx" in node.value else ("cx", "cy")
+    fx, fy, cx, cy = (node[key].number() for key in ("fx", "fy", *principal_point))
+    return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
 
 
 def _camera_info(root: Node, model: str | None) -> KnownLens:
     found = {what: node for what, keys in _KEYS_OF_VALUE.items() if (node := _first_present(root, keys)) is not None}
+    if "fx" in root.mapping():
+        found["K"] = root
     if "K" not in found:
         raise root.fault(
             "found no camera in it, expected ROS's camera_info (camera_matrix), Kalibr's camchain (cam0) or "
@@ -289,12 +292,14 @@ def _camera_info(root: Node, model: str | None) -> KnownLens:
         )
     stated = stated or ("rational_polynomial" if len(coefficients) > 5 else "plumb_bob")
     info: dict[str, Any] = {
-        "K": flat_numbers(found["K"]),
+        "K": _flat_matrix(found["K"]),
         "D": _of_the_model(D, coefficients, stated) if D else [],
         "distortion_model": stated,
     }
     if (size := _first_present(root, _SIZE_KEYS)) is not None:
-        info["width"], info["height"] = Node(size.file, size.keys, flat_numbers(size)).numbers(2)
+        named = isinstance(size.value, dict) and "width" in size.value
+        sides = [size[key].value for key in ("width", "height")] if named else flat_numbers(size)
+        info["width"], info["height"] = Node(size.file, size.keys, sides).numbers(2)
     elif "width" in found and "height" in found:
         info |= {"width": found["width"].value, "height": found["height"].value}
     else:

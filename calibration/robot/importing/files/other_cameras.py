@@ -138,7 +138,7 @@ def choose_camera(root: Node, cameras: list[str], name: str | None) -> str:
 def flat_numbers(node: Node) -> list[Any]:
     """Return a matrix as a flat list: from a flat list, from rows, or from ROS's and OpenCV's form with its size."""
     if isinstance(node.value, dict):
-        node = node["data"]
+        node = node.get("coefficients") or node["data"]
     rows = list(node.elements())
     if rows and all(isinstance(row.value, list) for row in rows):
         return [number.number() for row in rows for number in row.elements()]
