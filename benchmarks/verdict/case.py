@@ -38,6 +38,8 @@ SIGMAS, LEAST = 3.0, (1.0, 0.05)
 Colour = Literal["red", "undecided", "green"]
 CORNER = 0.69
 """Least slope of the rays at the corners of the images of the shipped systems' cameras."""
+FOCAL_PX = 580.0
+"""Focal length at which that corner is 400 px from the middle, as in an image of 640 x 480."""
 AS_WELL = 10.0
 """Costs (squared standard deviations) that differ by less are alike: of so many tests none could tell."""
 
@@ -131,11 +133,11 @@ class Outcome:
         return self.limits > 1 and self.limits - self.clean_limits > 0.5
 
     def _displaced(self) -> bool:
-        """Whether a sensor has been moved by more than it may be off, or a lens by as much at the image's corners."""
+        """Whether a sensor or its image was moved by more than it may be off, or a lens by as much at the corners."""
         planted, allowed = self.case.planted, self.case.allowed
         size = planted.sizes[self.case.size]
-        if planted.unit == "share":
-            turn = np.degrees(size * CORNER / (1 + CORNER**2))
+        if planted.unit in ("share", "px"):
+            turn = np.degrees(size / FOCAL_PX if planted.unit == "px" else size * CORNER / (1 + CORNER**2))
             return planted.displaces and allowed.rotation_deg is not None and turn > allowed.rotation_deg
         limit, moved = (allowed.rotation_deg, size) if planted.unit == "deg" else (allowed.translation_mm, 1e3 * size)
         return planted.displaces and limit is not None and moved > limit

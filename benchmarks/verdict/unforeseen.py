@@ -98,6 +98,7 @@ UNFORESEEN = (
         (1, 6, 40),
         "px",
         ("principal", "crop", *MOVED_WORDS),
+        displaces=True,  # what is exported has the crop of before the restart
     ),
     Kind(
         "autofocus",
