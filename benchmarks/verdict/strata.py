@@ -14,6 +14,7 @@ from benchmarks.shared_data import ROOT
 from benchmarks.verdict.scene import Scene
 from calibration.base.arrays import Array
 from calibration.base.errors import InputError
+from calibration.ci.execution.embedded import single_threaded_opencv
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
@@ -25,7 +26,7 @@ from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import System as Entry
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
-from calibration.robot.simulation.collection.record import collect_pose, kept, single_threaded_opencv
+from calibration.robot.simulation.collection.record import collect_pose, kept
 from calibration.robot.simulation.motion.generation import find_candidates, generate_motion
 from calibration.robot.simulation.motion.information import expected_dataset
 from calibration.robot.simulation.motion.sequence import Motion

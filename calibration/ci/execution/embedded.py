@@ -7,9 +7,10 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
@@ -34,6 +35,11 @@ _work: Sequence[Callable[[], Any]] = ()
 
 def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generator[tuple[int, Result]]:
     """Call each function in a worker process; see `calibration.ci.execution.embedded.Embedded.run`."""
+    with single_threaded_opencv():
+        yield from _in_forked_processes(work, workers)
+
+
+def _in_forked_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generator[tuple[int, Result]]:
     _require_room_for_threads()
     context = multiprocessing.get_context("fork")
     pool = ProcessPoolExecutor(workers, context, initializer=_initialise_worker, initargs=(work, os.getpid()))
@@ -69,6 +75,21 @@ def in_processes(work: Sequence[Callable[[], Result]], workers: int) -> Generato
         # an interrupted shutdown leaves workers running, and Python would wait for them at exit.
         with held_back():
             pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def single_threaded_opencv() -> Iterator[None]:
+    """Limit OpenCV, where it is loaded, to one thread: its threads do not survive a fork, OpenCV 5 waits for them."""
+    cv2 = sys.modules.get("cv2")
+    if cv2 is None:
+        yield
+        return
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
 
 
 class _Pace:

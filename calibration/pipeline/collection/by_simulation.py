@@ -36,7 +36,7 @@ from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
 from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
 from calibration.robot.simulation.collection.proof import prove
-from calibration.robot.simulation.collection.record import Record, collect, kept, single_threaded_opencv
+from calibration.robot.simulation.collection.record import Record, collect, kept
 from calibration.robot.simulation.motion.generation import named_motion
 from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, motion_document
 from calibration.robot.simulation.placement import Play, play
@@ -187,7 +187,7 @@ class SimulatedScenarios(Scenarios):
             InfrastructureError: a file cannot be written, or a process died.
         """
         resumed = workspace(output, self._hash_of_inputs, text_of, _scenario_result_from)
-        with resumed as work, temporary_folder() as scratch, single_threaded_opencv():
+        with resumed as work, temporary_folder() as scratch:
             asked = self._motion, self._requirements, scratch
             tasks = [Task.call(each.id, partial(run_scenario, self._set, each, *asked)) for each in self._scenarios]
             found = run_tasks([work.keeping(task) for task in tasks], workers=jobs, find=work.find, done=done)
@@ -201,8 +201,7 @@ class SimulatedScenarios(Scenarios):
         """
         asked = self._motion, self._requirements
         tasks = [Task.call(each.id, partial(find_driver, self._set, each, *asked)) for each in results]
-        with single_threaded_opencv():
-            return dict(run_tasks(tasks, workers=jobs))
+        return dict(run_tasks(tasks, workers=jobs))
 
     @property
     def _hash_of_inputs(self) -> str:

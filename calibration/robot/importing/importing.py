@@ -72,7 +72,6 @@ from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
-from calibration.robot.simulation.collection.record import single_threaded_opencv
 
 Done = Callable[[int, int, LabelledMoment | SeenImages], None]
 """Callback after each part: number of finished parts, number of all parts, and the result."""
@@ -118,7 +117,6 @@ def import_data(
     with (
         _opened_source(described, lenses) as source,
         workspace(output, source.identity, text_of, source.decode) as work,
-        single_threaded_opencv(),
     ):
         tasks = [work.keeping(task) for task in source.tasks]
         seen = list(run_tasks(tasks, workers=jobs, find=work.find, done=done).values())

@@ -27,7 +27,6 @@ from calibration.robot.importing.results import LabelledSensor, LabelResults, Re
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
-from calibration.robot.simulation.collection.record import single_threaded_opencv
 
 Done = Callable[[int, int, LabelledMoment], None]
 
@@ -75,7 +74,7 @@ def label_dataset(
 
     stats = [(str(file), file.stat().st_mtime_ns) for own in files.values() for file in own.values()]
     depends_on = identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats}".encode())
-    with workspace(output, depends_on, text_of, _read_finished) as work, single_threaded_opencv():
+    with workspace(output, depends_on, text_of, _read_finished) as work:
         tasks = [work.keeping(Task.call(key, partial(label, own))) for key, own in files.items() if own]
         moments = run_tasks(tasks, workers=jobs, find=work.find, done=done)
         _check_seen(root, moments, cameras, patterns)

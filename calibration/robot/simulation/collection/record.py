@@ -5,13 +5,11 @@ plain JSON, so that an interrupted collection can be continued from the records 
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
-import cv2
 import numpy as np
 
 from calibration.base.arrays import Array
@@ -329,19 +327,7 @@ def collect(
         return workspace.keep(str(number), found, files)
 
     tasks = [Task.call(str(number), partial(collect_into, number)) for number in range(len(play))]
-    with single_threaded_opencv():
-        return list(run_tasks(tasks, workers=jobs, find=workspace.find, done=done).values())
-
-
-@contextmanager
-def single_threaded_opencv() -> Iterator[None]:
-    """Limit OpenCV to one thread: the parallelism is by processes, and its threads do not survive a fork."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
+    return list(run_tasks(tasks, workers=jobs, find=workspace.find, done=done).values())
 
 
 def corner_rms(records: Iterable[Record]) -> float | None:
