@@ -39,7 +39,7 @@ class Planted(NamedTuple):
 
     @property
     def is_red(self) -> bool:
-        """Whether the check is red, and its moment is within `MOST_FOUND_LATE_S` of the planted one."""
+        """Whether the check reports a displacement that begins within `MOST_FOUND_LATE_S` of the planted one."""
         at = self.found.since
         return self.found.red and at is not None and abs(at - self.since) <= MOST_FOUND_LATE_S
 
@@ -133,7 +133,14 @@ def smallest_found(shifts: list[Planted]) -> float:
 
 def untold_clips(seeds: range) -> Iterator[SensorCheck]:
     """Yield what is said of clips of which nothing can be told."""
-    kinds = (_black, _bare, _another_room, _all_moves, _waved, _covered)
+    kinds = (
+        _black_images,
+        _images_without_texture,
+        _images_of_another_room,
+        _images_of_many_rooms,
+        _images_of_waved_camera,
+        _images_of_covered_lens,
+    )
     for seed, room, kept, random in _clips_of_rooms(seeds):
         yield _check_of_images(kept, kinds[seed % len(kinds)](room, seed, random))
 
@@ -142,32 +149,32 @@ def _images_of_still_camera(room: Room, seed: int, seconds: float = CLIP_SECONDS
     return list(Clip(room, Displacement(), None, seconds, Disturbances(), seed).images())
 
 
-def _black(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
+def _black_images(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
     return [
         np.clip(random.normal(2, 1.5, image.shape), 0, 255).astype(np.uint8)
         for image in _images_of_still_camera(room, seed)
     ]
 
 
-def _bare(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
+def _images_without_texture(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
     return [np.asarray(cv2.GaussianBlur(image, (0, 0), 40), np.uint8) for image in _images_of_still_camera(room, seed)]
 
 
-def _another_room(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
+def _images_of_another_room(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
     return _images_of_still_camera(Room.drawn(random), seed)
 
 
-def _all_moves(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
+def _images_of_many_rooms(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
     return [_images_of_still_camera(Room.drawn(random), seed + i, 0.5)[0] for i in range(round(2 * CLIP_SECONDS))]
 
 
-def _waved(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
+def _images_of_waved_camera(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
     turns = random.normal(0, 1.5, (round(2 * CLIP_SECONDS), 3)).tolist()
     clips = (Clip(room, Displacement(rotation_deg=tuple(turn)), 0.0, 0.5, Disturbances(), seed) for turn in turns)
     return [next(clip.images()) for clip in clips]
 
 
-def _covered(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
+def _images_of_covered_lens(room: Room, seed: int, random: np.random.Generator) -> list[Image]:
     images = _images_of_still_camera(room, seed)
     return [image if i < len(images) / 2 else np.full_like(image, 30) for i, image in enumerate(images)]
 

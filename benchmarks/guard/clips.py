@@ -24,9 +24,9 @@ from calibration.engine.geometry.transforms import transform
 from calibration.robot.labelling.detection import Image
 
 WIDTH, HEIGHT = 640, 480
-FOCAL = WIDTH / 2 / math.tan(math.radians(30))
-"""px: 60 degrees of view."""
-RAW = 2
+FOCAL_PX = WIDTH / 2 / math.tan(math.radians(30))
+"""Focal length of 60 degrees of view."""
+SUPERSAMPLING = 2
 """Side of an image in which a room is drawn, in those of the camera's: it is sampled down as a sensor does."""
 BORDER = 60
 """px: of the drawn image, around what the lens shows."""
@@ -35,7 +35,13 @@ BORDER = 60
 def camera_of_room() -> Camera:
     """Return the camera, with a lens that is not rectilinear."""
     return Camera(
-        FOCAL, FOCAL, WIDTH / 2 + 3.3, HEIGHT / 2 - 2.1, WIDTH, HEIGHT, PlumbBob(-0.12, 0.03, 0.0004, -0.0003, 0.0)
+        FOCAL_PX,
+        FOCAL_PX,
+        WIDTH / 2 + 3.3,
+        HEIGHT / 2 - 2.1,
+        WIDTH,
+        HEIGHT,
+        PlumbBob(-0.12, 0.03, 0.0004, -0.0003, 0.0),
     )
 
 
@@ -54,7 +60,7 @@ class Displacement:
 
 @dataclass(frozen=True)
 class Disturbances:
-    """What changes in a clip without a displacement of the camera: people, light, noise, compression."""
+    """Changes of a clip that are no displacement of its camera: people, light, noise, compression."""
 
     people: int = 2
     light: float = 0.3
@@ -110,13 +116,17 @@ class Room:
         """Return what a camera sees (H, W), grey, float32."""
         T = transform(rotations.exp(np.radians(moved.rotation_deg)), np.array(moved.translation_m))
         K = np.array(
-            [[RAW * FOCAL, 0, RAW * (WIDTH / 2 + BORDER)], [0, RAW * FOCAL, RAW * (HEIGHT / 2 + BORDER)], [0, 0, 1]]
+            [
+                [SUPERSAMPLING * FOCAL_PX, 0, SUPERSAMPLING * (WIDTH / 2 + BORDER)],
+                [0, SUPERSAMPLING * FOCAL_PX, SUPERSAMPLING * (HEIGHT / 2 + BORDER)],
+                [0, 0, 1],
+            ]
         )
-        canvas = np.full((RAW * (HEIGHT + 2 * BORDER), RAW * (WIDTH + 2 * BORDER)), 90, np.uint8)
+        canvas = np.full((SUPERSAMPLING * (HEIGHT + 2 * BORDER), SUPERSAMPLING * (WIDTH + 2 * BORDER)), 90, np.uint8)
         draw(canvas, self.rectangles, T, K)
         at = _lens_map(type(self.camera.distortion), tuple(self.camera.intrinsics.tolist()), moved.zoom)
         image = cv2.remap(canvas, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-        image = cv2.GaussianBlur(image, (0, 0), RAW * math.hypot(0.6, moved.blur_px))
+        image = cv2.GaussianBlur(image, (0, 0), SUPERSAMPLING * math.hypot(0.6, moved.blur_px))
         return np.asarray(cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA), np.float32)
 
 
@@ -125,8 +135,12 @@ def _lens_map(lens: type[Distortion], intrinsics: tuple[float, ...], zoom: float
     """Return where each pixel of a raw image is in what is drawn without the lens (H, W, 2), float32."""
     camera = Camera(1.0, 1.0, 0.0, 0.0, WIDTH, HEIGHT, lens()).with_intrinsics(np.array(intrinsics))
     scaled = replace(camera, fx=camera.fx * (1 + zoom), fy=camera.fy * (1 + zoom))
-    u, v = np.meshgrid(*((np.arange(RAW * side) - 0.5 * (RAW - 1)) / RAW for side in (WIDTH, HEIGHT)))
-    drawn = scaled.normalise(np.stack([u, v], -1)) * (RAW * FOCAL) + RAW * (np.array([WIDTH, HEIGHT]) / 2 + BORDER)
+    u, v = np.meshgrid(
+        *((np.arange(SUPERSAMPLING * side) - 0.5 * (SUPERSAMPLING - 1)) / SUPERSAMPLING for side in (WIDTH, HEIGHT))
+    )
+    drawn = scaled.normalise(np.stack([u, v], -1)) * (SUPERSAMPLING * FOCAL_PX) + SUPERSAMPLING * (
+        np.array([WIDTH, HEIGHT]) / 2 + BORDER
+    )
     return np.asarray(drawn, np.float32)
 
 

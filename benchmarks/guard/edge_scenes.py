@@ -18,7 +18,7 @@ LENS = np.array([5e-4, 5e-4, 5e-4])
 
 @dataclass(frozen=True)
 class RigInRoom:
-    """What both see; with `still` the rig stands, and only people move."""
+    """Simulated rig of a camera and a LiDAR in a room; if it is `still`, only people move."""
 
     seed: int = 1
     moments: int = 12
@@ -28,7 +28,7 @@ class RigInRoom:
     noise_m: float = 0.01
     people: int = 2
     bare: bool = False
-    """Whether nothing stands before the walls."""
+    """Whether the room has walls alone, without things before them."""
 
     def seen(self, shift: Array = NOT_MOVED, begin: int = 0) -> CameraAndLidar:
         """Return what is recorded where the camera is displaced from a moment on, by a twist (6,) in its frame."""

@@ -16,12 +16,12 @@ TURNS_DEG = (0.3, 0.5, 1.0)
 
 
 def unmoved_rigs(seeds: Sequence[int]) -> list[SensorCheck]:
-    """What is said where nothing has moved; every second rig stands, and sees the same edges all the time."""
+    """Return the checks of rigs whose sensors did not move, one a seed; every second rig stands still."""
     return [check_by_edges(RigInRoom(seed, MOMENTS, still=bool(seed % 2)).seen()) for seed in seeds]
 
 
 def turned_rigs(seeds: Sequence[int], degrees: float) -> list[tuple[SensorCheck, int]]:
-    """What is said of turns of the camera about any axis, and the moment at which each begins."""
+    """Return the checks of rigs whose camera was turned about a random axis, and the moment at which it was."""
     found = []
     for seed in seeds:
         random = np.random.default_rng(seed + 10**6)

@@ -28,7 +28,7 @@ def room_of(carrier: str, seed: int) -> ScannedRoom:
 
 
 def unmoved_lidars(carrier: str, seeds: Sequence[int]) -> list[SensorCheck]:
-    """What is said where nothing has moved."""
+    """Return the checks of LiDARs that did not move, one a seed."""
     return [check_by_map(room_of(carrier, seed).seen()) for seed in seeds]
 
 

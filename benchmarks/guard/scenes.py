@@ -9,8 +9,8 @@ from calibration.addons.guard.witness.bundle import Observations
 from calibration.base.arrays import Array
 from calibration.engine.geometry.transforms import retract
 
-FOCAL = 600.0
-HALF_WIDTH = np.array([320, 240]) / FOCAL
+FOCAL_PX = 600.0
+HALF_WIDTH = np.array([320, 240]) / FOCAL_PX
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Scene:
             in_camera = np.where((kind == 2)[:, None], hand, in_camera)
             at = in_camera[:, :2] / in_camera[:, 2:]
             seen = np.flatnonzero((abs(at) < HALF_WIDTH).all(1) & (in_camera[:, 2] > 0.05) & (random.random(J) < 0.6))
-            noisy = at[seen] + random.normal(0, self.noise_px / FOCAL, (len(seen), 2))
+            noisy = at[seen] + random.normal(0, self.noise_px / FOCAL_PX, (len(seen), 2))
             is_wrong = random.random(len(seen)) < self.wrong
             noisy[is_wrong] = random.uniform(-HALF_WIDTH, HALF_WIDTH, (is_wrong.sum(), 2))
             found.append(np.c_[np.full(len(seen), k), seen, noisy])
@@ -64,7 +64,7 @@ class Scene:
             rows[:, 1].astype(int),
             rows[:, 2:],
             np.arange(J),
-            FOCAL,
+            FOCAL_PX,
             3,
         )
         return whole.kept(np.ones(len(rows), bool)), velocities

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.guard.clips import FOCAL, Clip, Displacement, Disturbances, Room, as_recorded
+from benchmarks.guard.clips import FOCAL_PX, Clip, Displacement, Disturbances, Room, as_recorded
 from calibration.addons.guard.keeping import kept_camera
 from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, Reference
 from calibration.engine.geometry.cameras import Camera
@@ -18,7 +18,7 @@ from calibration.robot.labelling.detection import Image
 BASELINE = Path(__file__).parents[3] / "calibration-baseline.json"
 DATA = "0" * 64
 SECONDS, CHANGE = 3.0, 1.5
-CAMERA = Camera(FOCAL, FOCAL, 319.5, 239.5, 640, 480)
+CAMERA = Camera(FOCAL_PX, FOCAL_PX, 319.5, 239.5, 640, 480)
 """That of t2rgb."""
 STILL = Displacement()
 

@@ -11,6 +11,7 @@ from itertools import groupby
 from types import SimpleNamespace
 from typing import TypeVar
 
+import cv2
 import pytest
 
 from calibration.base.errors import InfrastructureError, InputError
@@ -25,6 +26,21 @@ def in_parallel(
     function: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator[tuple[int, Result]]:
     return Embedded().run([partial(function, item) for item in items], workers=workers)
+
+
+def threads_of_opencv(_: int) -> int:
+    return int(cv2.getNumThreads())
+
+
+def test_workers_are_forked_with_one_thread_of_opencv() -> None:
+    """OpenCV 5 waits for ever for the threads that a fork has not inherited."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        assert [threads for _, threads in in_parallel(threads_of_opencv, range(4), 2)] == [1] * 4
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)
 
 
 @pytest.mark.parametrize("workers", [1, 2, 5])

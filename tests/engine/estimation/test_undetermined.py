@@ -15,7 +15,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.truth import truth_error
-from calibration.engine.geometry.transforms import transform
+from calibration.engine.geometry.transforms import retract, transform
 from tests.engine.estimation.scenes import Scene, board, errors, pose, relabelled
 from tests.engine.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, rotating, stereo, two_bodies
 from tests.pipeline.conftest import DATASETS
@@ -121,6 +121,16 @@ def test_a_small_tilt_about_the_other_axes_is_enough_with_large_standard_deviati
 @pytest.mark.parametrize("scene", [eye_to_hand, eye_in_hand])
 def test_an_arm_that_never_turns(scene):
     assert "the robot never rotates" in refusal(rotating(scene(12), 0 * TURNS * [1.0, 1.0, 1.0]))
+
+
+@pytest.mark.parametrize("scene", [eye_to_hand, eye_in_hand])
+def test_poses_of_an_arm_that_is_not_the_one_that_moves(scene):
+    dataset = scene(12, pixel_noise=0.3).dataset()
+    edge = next(edge for edge in dataset.transforms if edge[1] == "flange")
+    trembling = np.random.default_rng(0).normal(scale=1e-6, size=(12, 6))
+    still = retract(np.repeat(dataset.transforms[edge][:1], 12, 0), trembling)
+    with pytest.raises(UndeterminedError, match="cannot be told apart: the robot never moves"):
+        calibrate(replace(dataset, transforms={**dataset.transforms, edge: still}))
 
 
 @pytest.mark.parametrize("scene", [eye_to_hand, eye_in_hand, two_bodies])

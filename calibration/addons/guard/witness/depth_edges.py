@@ -190,25 +190,10 @@ def _candidates_of_image(
     seen = inside.all(-1) & (gap > 1e-6) & (gap < 2 * SEARCH_PX) & (points[:, 2] > 0)
     points, centre, gap, step = points[seen], centre[seen], gap[seen], step[seen]
     along = step / gap[:, None]
-    smooth = cv2.GaussianBlur(image, (0, 0), BLUR_PX).astype(np.float32)
-    slopes = [cv2.Scharr(smooth, cv2.CV_32F, *axis) / 32 for axis in ((1, 0), (0, 1))]
-    t = np.arange(-SEARCH_PX, SEARCH_PX + 1, dtype=float)
-    places = (centre[:, None] + t[:, None] * along[:, None]).astype(np.float32)
-    if not len(places):
+    if not len(centre):
         return np.zeros(0, int), np.zeros(0), np.zeros((0, WIDTH)), np.zeros(0), np.zeros(0, int)
-    u, v = places[..., 0], places[..., 1]
-    g = np.stack([cv2.remap(each, u, v, cv2.INTER_LINEAR) for each in slopes], -1)
-    size = abs((g * along[:, None]).sum(-1))
-    noise = float(np.median(np.hypot(*slopes)))
-    peak = np.zeros(size.shape, bool)
-    peak[:, 1:-1] = (size[:, 1:-1] > size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
-    peak &= size > max(MIN_GRADIENT, MIN_GRADIENT_TO_NOISE * noise)
-    ranked = np.where(peak, size, 0.0)
-    peak &= ranked >= np.sort(ranked, 1)[:, -CANDIDATES, None]
-    edge, index = np.nonzero(peak)
-    a, b, c = (size[edge, index + i] for i in (-1, 0, 1))
-    at = t[index] + 0.5 * (a - c) / np.minimum(a - 2 * b + c, -1e-6)
-    normal = g[edge, index] / np.linalg.norm(g[edge, index], axis=-1, keepdims=True)
+    edge, at, gradients = _image_edges_along(image, centre, along)
+    normal = gradients / np.linalg.norm(gradients, axis=-1, keepdims=True)
     across = (normal * along[edge]).sum(-1)
     good = abs(across) > MIN_ACROSS
     edge, at, normal, across = edge[good], at[good], normal[good], across[good]
@@ -224,6 +209,36 @@ def _candidates_of_image(
     clusters = np.where(is_upright, band[:, 0], BANDS[0] + band[:, 1])
     edge = np.unique(edge, return_inverse=True)[1]
     return edge, at * across, by_unknowns, sigmas, clusters
+
+
+def _image_edges_along(image: Image, centre: Array, along: Array) -> tuple[IntArray, Array, Array]:
+    """Find the strongest edges of an image on lines across expected ones, to `SEARCH_PX` on both sides.
+
+    Args:
+        image: grey.
+        centre: (L, 2) px, middle of each line.
+        along: (L, 2) its unit direction.
+
+    Returns:
+        The line (M,) of each edge, its place on it (M,) px from the middle, and the gradient (M, 2) there.
+    """
+    smooth = cv2.GaussianBlur(image, (0, 0), BLUR_PX).astype(np.float32)
+    slopes = [cv2.Scharr(smooth, cv2.CV_32F, *axis) / 32 for axis in ((1, 0), (0, 1))]
+    t = np.arange(-SEARCH_PX, SEARCH_PX + 1, dtype=float)
+    places = (centre[:, None] + t[:, None] * along[:, None]).astype(np.float32)
+    u, v = places[..., 0], places[..., 1]
+    g = np.stack([cv2.remap(each, u, v, cv2.INTER_LINEAR) for each in slopes], -1)
+    size = abs((g * along[:, None]).sum(-1))
+    noise = float(np.median(np.hypot(*slopes)))
+    peak = np.zeros(size.shape, bool)
+    peak[:, 1:-1] = (size[:, 1:-1] > size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
+    peak &= size > max(MIN_GRADIENT, MIN_GRADIENT_TO_NOISE * noise)
+    ranked = np.where(peak, size, 0.0)
+    peak &= ranked >= np.sort(ranked, 1)[:, -CANDIDATES, None]
+    edge, index = np.nonzero(peak)
+    a, b, c = (size[edge, index + i] for i in (-1, 0, 1))
+    at = t[index] + 0.5 * (a - c) / np.minimum(a - 2 * b + c, -1e-6)
+    return edge.astype(np.int64), np.asarray(at, float), np.asarray(g[edge, index], float)
 
 
 def edge_evidence(candidates: EdgeCandidates, lens_sigmas: Array) -> EdgeEvidence | None:
