@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from benchmarks.rows import Bar, Row
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.geometry.transforms import local

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.timing import interleaved
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.least_squares.minimisation import minimise

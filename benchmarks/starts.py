@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.shared_data import load
+from calibration.base import CalibrationError
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import truth_of
 from calibration.engine.estimation.calibrate import Options, calibrate

@@ -23,8 +23,8 @@ from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import clean, generator, moving_edges, with_noise, without_noise
 from benchmarks.verdict.unforeseen import UNFORESEEN
 from benchmarks.workers import on_all_cores
+from calibration.base import CalibrationError
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.model import Dataset, Edge, Labels, PointLabels
 from calibration.engine.diagnosis.robot_tasks import BY_RECORDING
 from calibration.engine.estimation.calibrate import calibrate

@@ -20,11 +20,10 @@ from typing import Any, NoReturn
 import click
 
 from calibration import __version__
+from calibration.base import CalibrationError, ExitCode, did_you_mean, solvable
 from calibration.base.addons import LazyCommand, of_addons
-from calibration.base.errors import CalibrationError, ExitCode, solvable
 from calibration.base.optional import PACKAGE_OF_MODULE
 from calibration.base.process import Terminated, no_collector, run_process, terminate_cleanly
-from calibration.base.text import did_you_mean
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, report_error, stop_commands
 
 _HELP_OF_COMMAND = {

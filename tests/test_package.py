@@ -34,17 +34,19 @@ def test_type_checkers_see_the_same_names() -> None:
 
 
 def test_errors_have_their_public_path() -> None:
-    from calibration.base.errors import InputError
+    from calibration.base import InputError
 
     assert InputError is calibration.InputError is calibration.errors.InputError
 
 
-def test_importing_it_imports_nothing_but_errors() -> None:
+def test_importing_it_imports_the_ground_floor_without_numpy() -> None:
     script = "import calibration, sys; print(*(x for x in sys.modules if x.startswith(('calibration.', 'numpy'))))"
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT, timeout=60
     )
-    assert done.stdout.split() == ["calibration.base", "calibration.base.errors", "calibration.errors"]
+    modules = done.stdout.split()
+    assert "calibration.errors" in modules
+    assert {module.split(".")[1] for module in modules} == {"base", "errors"}
 
 
 def test_its_example_runs(monkeypatch: pytest.MonkeyPatch) -> None:

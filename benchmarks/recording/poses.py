@@ -9,8 +9,8 @@ import numpy as np
 import calibration
 from benchmarks.recording.curve import Curve
 from benchmarks.room import LARGE, PATTERN
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.modalities import RGB
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge, Sensor
 from calibration.engine.geometry.rotations import exp

@@ -10,7 +10,7 @@ from benchmarks.rows import Bar, Row
 from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.kind import ALL, ARMS
 from benchmarks.verdict.strata import Conditions, generator, recording
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.diagnosis.limits import Limits
 
 DRAWS = 600

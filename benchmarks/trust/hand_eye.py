@@ -17,8 +17,8 @@ import numpy as np
 
 from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
+from calibration.base import CalibrationError
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate

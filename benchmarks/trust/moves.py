@@ -14,7 +14,7 @@ from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.kind import ALL
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
 from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted, against_baseline

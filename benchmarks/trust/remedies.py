@@ -17,7 +17,7 @@ from benchmarks.verdict.case import Colour, colour_of, judged, with_nothing_set
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Conditions, generator, recording
 from benchmarks.workers import on_all_cores
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
 from calibration.engine.estimation.options import OF_INTRINSICS, Assumptions

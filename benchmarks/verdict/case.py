@@ -14,7 +14,7 @@ from benchmarks.verdict.kind import Kind
 from benchmarks.verdict.kinds import CLEAN, KINDS
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import Stratum, clean, generator
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError
 from calibration.base.tables.table import read_table
 from calibration.base.tables.table_verdict import judge
 from calibration.engine.dataset.model import Dataset

@@ -15,8 +15,8 @@ from benchmarks.verdict.case import harm_of, judged
 from benchmarks.verdict.defects import boards, cameras, labels, motions
 from benchmarks.verdict.scene import Scene
 from benchmarks.verdict.strata import clean, entries, generator
+from calibration.base import read_yaml
 from calibration.base.arrays import Array
-from calibration.base.documents import read_yaml
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.engine.dataset.model import Collection, Dataset, Sensor

@@ -12,8 +12,8 @@ import numpy as np
 
 from benchmarks.shared_data import ROOT
 from benchmarks.verdict.scene import Scene
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.ci.execution.embedded import single_threaded_opencv
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels

@@ -21,8 +21,7 @@ from docker import APIClient, DockerClient
 from docker.errors import APIError
 from docker.utils import parse_repository_tag
 
-from calibration.base.errors import InfrastructureError, InputError, innermost_message
-from calibration.base.text import one_line, shorten
+from calibration.base import InfrastructureError, InputError, innermost_message, one_line, shorten
 
 REQUEST_SECONDS = 60
 """Timeout of a request to the engine."""

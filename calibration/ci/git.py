@@ -13,8 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Self
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.text import one_line, shorten
+from calibration.base import InfrastructureError, InputError, one_line, shorten
 
 COMMAND_SECONDS = 120
 """Timeout of a git command."""

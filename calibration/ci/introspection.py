@@ -10,12 +10,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
+from calibration.base import InputError, did_you_mean, read_yaml, shorten
 from calibration.base.records import document_of
 from calibration.base.tables.rules import RuleSet, parse_rules
 from calibration.base.tables.table_verdict import Results, RuleResult, TableResult, Violation
-from calibration.base.text import did_you_mean, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, verdict_of
 from calibration.ci.workflow.runner import Annotation
 

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import click
 
+from calibration.base import ExitCode, InputError, one_line, write_atomically
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
-from calibration.base.text import one_line
 from calibration.ci.execution.tasks import locked
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, path, text

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.report import Report, count_of, publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import path

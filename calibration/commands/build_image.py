@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.base.records import field, record
 from calibration.ci.image.build_request import BuildFailedError
 from calibration.ci.image.building import REPORT_TITLE, BuilderName, BuildResult, Failure, build_image, report

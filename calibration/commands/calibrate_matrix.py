@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.base.records import at_least, changed, field, read, record
 from calibration.ci.execution.backends import (
     CLOUDS,

@@ -4,9 +4,8 @@ from typing import Any
 
 import click
 
+from calibration.base import ExitCode, InputError, aligned
 from calibration.base.addons import import_attribute
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.text import aligned
 from calibration.ci.execution.backends import BACKEND_KINDS, CLOUDS, DOCKER, Leftovers
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import boolean_option, path, text

@@ -10,9 +10,7 @@ from typing import Annotated, Any
 
 import click
 
-from calibration.base.documents import read_yaml, with_variables
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
+from calibration.base import ExitCode, InputError, read_yaml, with_variables, write_atomically
 from calibration.base.records import Place, at_least, changed, field, read, record
 from calibration.ci.execution.backends import (
     BACKEND_KINDS,

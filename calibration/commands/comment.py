@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import click
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.base.records import field, record
 from calibration.ci.github.comments import comment_text
 from calibration.ci.report import count_of

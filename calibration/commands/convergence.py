@@ -8,8 +8,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.text import did_you_mean
+from calibration.base import ExitCode, InputError, did_you_mean
 from calibration.ci.report import count_of, publish, remove_results
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay, progress

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
-from calibration.base.text import did_you_mean, one_line
+from calibration.base import ExitCode, InputError, did_you_mean, one_line, write_atomically
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, assignments, path, text
 from calibration.engine.dataset.reading import read_dataset

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import CalibrationError, ExitCode
+from calibration.base import CalibrationError, ExitCode
 from calibration.ci.report import Lines, Report, Table, count_of, publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, path, text

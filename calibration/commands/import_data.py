@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import click
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.base.records import at_least, field, record
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner

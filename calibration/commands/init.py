@@ -5,9 +5,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
-from calibration.base.text import one_line
+from calibration.base import ExitCode, InputError, one_line, write_atomically
 from calibration.ci.github.service import WORKFLOW_FILE, first_workflow
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import boolean_option, path

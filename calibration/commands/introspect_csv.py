@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.base.files import matching
 from calibration.base.records import flat_fields, read
 from calibration.base.tables.rules import RuleEntry, RuleSet, checked

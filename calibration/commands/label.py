@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import progress

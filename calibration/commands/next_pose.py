@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, count, integer, path

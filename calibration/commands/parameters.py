@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeVar
 
 import click
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Constraint, Converted, flat_fields, read
 from calibration.ci.workflow import Runner, add_mask
 

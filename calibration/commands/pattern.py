@@ -6,8 +6,7 @@ from typing import Any, get_args
 
 import click
 
-from calibration.base.errors import ExitCode
-from calibration.base.files import write_atomically
+from calibration.base import ExitCode, write_atomically
 from calibration.base.records import read
 from calibration.commands.parameters import count, number, path
 from calibration.engine.dataset.pattern import CIRCLE_KINDS, PatternKind

@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
+from calibration.base import ExitCode, InputError, write_atomically
 from calibration.base.records import read
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, set_outputs, stop_commands

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import (

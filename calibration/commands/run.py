@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import click
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.base.records import at_least, changed, field, record
 from calibration.ci.image.specification import ImageSpecification
 from calibration.ci.workflow import Runner, set_outputs

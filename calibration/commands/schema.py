@@ -5,8 +5,8 @@ from importlib.resources import files
 
 import click
 
+from calibration.base import ExitCode
 from calibration.base.addons import SchemaFile, import_attribute, of_addons
-from calibration.base.errors import ExitCode
 from calibration.base.records.schema import schema_text
 from calibration.ci.report import Head
 

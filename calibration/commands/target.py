@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base import InputError, read_bytes, write_atomically
 from calibration.ci.execution.backends import SECTIONS, ExecutionTarget, Sections, read_sections
 from calibration.ci.execution.docker.labels import new_run
 from calibration.ci.workflow import Runner

@@ -6,7 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 import click
 
 from calibration import __version__
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.workflow import Runner
 
 SHOWN_DISTRIBUTIONS = ("click", "pyyaml", "numpy", "defusedxml", "rich", "opencv-python-headless", "docker", "boto3")

@@ -5,8 +5,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode
-from calibration.base.files import temporary_folder
+from calibration.base import ExitCode, temporary_folder
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import boolean_option, chosen, given, non_negative, path, record_options

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError, did_you_mean, parse_number, shorten
 from calibration.base.tables.table import KeyedTable, LabelledRow, read_table
-from calibration.base.text import did_you_mean, parse_number, shorten
 from calibration.ci.git import Repository
 from calibration.ci.services import event_of
 from calibration.ci.workflow.runner import Event

@@ -5,10 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from calibration.base.documents import read_yaml, with_variables
-from calibration.base.errors import InputError
+from calibration.base import InputError, did_you_mean, read_yaml, with_variables
 from calibration.base.records import ByName, Converted, Place, field, flat_fields, matching, one_of, read, record
-from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import SECTIONS, ContainerBackend, ExecutionTarget, Sections
 from calibration.ci.image.specification import ImageDocument, ImageSpecification, parse_image_specification
 from calibration.engine.baseline.quality import BASELINE_FILE, BaselineSettings

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import ROUGH_KEY, Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import DEFAULT_LIMIT_SIGMAS, MIN_DEFAULT_LIMIT, Limits, allowed, stated

@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from calibration.base import InputError, one_line, parse_json, shorten
 from calibration.base.arrays import Array
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
 from calibration.base.optional import figures_of_matplotlib
 from calibration.base.records import computed, field, result
-from calibration.base.text import one_line, shorten
 from calibration.ci.git import Commit, Repository
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.baseline.comparison import change_points, covariance_of_difference, creeps, noise_of

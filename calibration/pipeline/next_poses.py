@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError
+from calibration.base import CalibrationError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.result import Calibration

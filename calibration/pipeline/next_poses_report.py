@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import field, result
 from calibration.ci.pages.html import bullets, element, page, section
 from calibration.ci.report import Lines, Report, Table, shown

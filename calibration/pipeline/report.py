@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from calibration.base.files import write_atomically
+from calibration.base import write_atomically
 from calibration.ci.execution.embedded import cores
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.report import Lines, Outcome, Report, Text, results_text

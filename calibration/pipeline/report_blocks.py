@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.text import rounded
+from calibration.base import rounded
 from calibration.base.verdict import worst_verdict
 from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange

@@ -6,10 +6,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from calibration.base import CalibrationError, ExitCode, InputError, exit_code_of, shorten
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.errors import CalibrationError, ExitCode, InputError, exit_code_of
 from calibration.base.records import computed, field, result, with_fields
-from calibration.base.text import shorten
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.junit import ErrorCode

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base.errors import InputError
+from calibration.base import InputError, did_you_mean
 from calibration.base.records import (
     UNIQUE,
     ByName,
@@ -21,7 +21,6 @@ from calibration.base.records import (
     result,
 )
 from calibration.base.tables.rules import RuleEntry, RuleSet, checked, unfolded
-from calibration.base.text import did_you_mean
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options

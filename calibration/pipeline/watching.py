@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError, InputError
-from calibration.base.files import temporary_folder, write_atomically
+from calibration.base import CalibrationError, InputError, one_line, temporary_folder, write_atomically
 from calibration.base.process import Terminated
-from calibration.base.text import one_line
 from calibration.ci.pages.html import Html, bullets, element, page, section, table
 from calibration.ci.report import Lines, Report, Table, count_of
 from calibration.ci.workflow import Runner

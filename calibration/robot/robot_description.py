@@ -14,10 +14,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes, temporary_folder
+from calibration.base import InfrastructureError, InputError, one_line, read_bytes, shorten, temporary_folder
 from calibration.base.records import Converted, Place, field, length, record
-from calibration.base.text import one_line, shorten
 
 ENDING = ".xacro"
 XACRO_ELEMENT = b"<xacro:"

@@ -17,8 +17,8 @@ import defusedxml.ElementTree
 import numpy as np
 from defusedxml.common import DefusedXmlException
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.records import between
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry import rotations

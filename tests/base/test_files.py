@@ -9,8 +9,14 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import follow_no_links, link_or_copy, temporary_folder, write_atomically
+from calibration.base import (
+    InfrastructureError,
+    InputError,
+    follow_no_links,
+    link_or_copy,
+    temporary_folder,
+    write_atomically,
+)
 from calibration.base.process import Terminated, terminate_cleanly
 
 

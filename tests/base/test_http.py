@@ -3,7 +3,7 @@
 import pytest
 import requests
 
-from calibration.base.errors import innermost_message
+from calibration.base import innermost_message
 from calibration.base.http import is_loopback, retry_after
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from calibration.base.text import not_a_number, rounded, with_error_bar
+from calibration.base import not_a_number, rounded, with_error_bar
 
 
 @pytest.mark.parametrize(

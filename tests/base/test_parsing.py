@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from calibration.base.documents import parse_json, read_yaml
-from calibration.base.errors import InputError
+from calibration.base import InputError, parse_json, read_yaml
 from calibration.base.yaml_loading import MAX_ALIASED
 from calibration.engine.dataset.document import read_json
 

@@ -3,8 +3,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.documents import with_variables
-from calibration.base.errors import InputError
+from calibration.base import InputError, with_variables
 
 
 def test_only_braces_are_replaced_and_only_once() -> None:

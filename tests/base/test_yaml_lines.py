@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.documents import line_of
+from calibration.base import line_of
 
 TEXT = """\
 noise: {translation: [0]}

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 
-from calibration.base.errors import LONGEST_MESSAGE, CalibrationError, solvable
+from calibration.base import CalibrationError, solvable
+from calibration.base.errors import LONGEST_MESSAGE
 from tests.campaigns.mutations import mutated
 from tests.campaigns.target import Target
 from tests.campaigns.targets import TARGETS

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from calibration.__main__ import main
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError
 from calibration.base.tables import judge, parse_rules, read_table
 from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.extraction import Budget, extract

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.campaigns import fuzz
 from tests.campaigns.fuzz import campaign, problem_of
 from tests.campaigns.mutations import mutated

@@ -9,7 +9,7 @@ pytest.importorskip("docker")
 import docker.errors
 import requests
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.docker_engine import EngineLostError, connect, engine_available, engine_errors
 
 

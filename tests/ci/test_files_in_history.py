@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.git import Repository
 from tests.repositories import git
 

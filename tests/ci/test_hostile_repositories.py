@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError
 from calibration.ci.git import Repository
 from calibration.ci.image.context import build_labels
 from tests.repositories import WHO, commit, git

@@ -8,7 +8,7 @@ import pytest
 from defusedxml.ElementTree import parse
 
 from calibration.__main__ import main, run_action
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.files import matching
 from calibration.commands.introspect_csv import command
 

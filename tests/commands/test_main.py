@@ -14,8 +14,8 @@ import pytest
 
 from calibration import __main__ as entry
 from calibration.__main__ import COMMANDS, main, run_action
+from calibration.base import ExitCode, InfrastructureError, InputError, UndeterminedError
 from calibration.base.addons import LazyCommand
-from calibration.base.errors import ExitCode, InfrastructureError, InputError, UndeterminedError
 from calibration.commands import parameters
 from tests.repositories import needs_git
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 
 ROOT = Path(__file__).parents[2]
 

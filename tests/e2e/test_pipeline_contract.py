@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from calibration.__main__ import load_command
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.registries.push import promote
 from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name

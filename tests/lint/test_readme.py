@@ -11,7 +11,7 @@ import yaml
 
 from benchmarks.run_picture import LINE, PICTURE, drawing, tables
 from calibration.__main__ import load_command, main
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import flat_fields
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.options import Assumptions

@@ -8,7 +8,7 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.report import Report
 from calibration.ci.workflow import Runner
 from calibration.pipeline.configuration import read_configuration

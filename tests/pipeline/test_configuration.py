@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.pipeline.configuration import read_configuration

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from defusedxml.ElementTree import fromstring
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.report import Report
 from calibration.ci.workflow.runner import Level
 from calibration.engine.diagnosis.finding import Finding

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.baseline.calibration_document import TaskDocument
 from calibration.engine.diagnosis.finding import Finding
 from calibration.pipeline.configuration import read_configuration

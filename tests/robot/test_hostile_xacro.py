@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.robot_description import XacroInputs, read_robot_description
 
 pytest.importorskip("xacro")

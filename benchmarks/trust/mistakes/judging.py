@@ -9,7 +9,7 @@ from pathlib import Path
 
 from benchmarks.trust.mistakes.recordings import Document
 from calibration.__main__ import main
-from calibration.base.files import temporary_folder
+from calibration.base import temporary_folder
 
 FAILS = ": fails: "
 """What ``init`` says before each reason for which a recording does not pass."""

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from calibration.addons.analysis.results import CodeFinding
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, read_bytes
 from calibration.ci.git import Repository
 
 MAX_BYTES = 1_000_000

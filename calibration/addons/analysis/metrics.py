@@ -9,7 +9,7 @@ from calibration.addons.analysis.analysers.analyser import arguments, module, ru
 from calibration.addons.analysis.analysers.code import CPP_SUFFIXES
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import CodeFinding, Metrics
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.report.badge import BAD, FAIR, GOOD, drawn_badge
 
 BADGE_FILE = "badge.svg"

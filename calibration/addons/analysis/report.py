@@ -21,9 +21,7 @@ from calibration.addons.analysis.results import (
     Metrics,
     Severity,
 )
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
-from calibration.base.text import shorten
+from calibration.base import InputError, read_bytes, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
 from calibration.ci.workflow.runner import Annotation, Level
 

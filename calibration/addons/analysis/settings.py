@@ -14,10 +14,8 @@ from pathlib import Path
 from typing import Annotated
 
 from calibration.addons.analysis.results import CATEGORIES, SEVERITIES, CodeFinding, Suppressed
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
+from calibration.base import InputError, did_you_mean, read_yaml, shorten
 from calibration.base.records import Converted, field, length, read, record
-from calibration.base.text import did_you_mean, shorten
 from calibration.ci.report import Check, at_most
 
 SUPPRESSIONS_FILE = ".static-analysis.yml"

@@ -38,11 +38,8 @@ from calibration.addons.analysis.settings import (
     read_suppressions,
     sift,
 )
-from calibration.base.documents import read_yaml
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import temporary_folder
+from calibration.base import ExitCode, InputError, did_you_mean, read_yaml, shorten, temporary_folder
 from calibration.base.records import changed, field, read, record
-from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git import Repository, find_base
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import click
 
 from calibration.addons.aws_batch.settings import AWS_BATCH, BatchSettings
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.backends import read_sections
 from calibration.commands.parameters import path
 

@@ -16,8 +16,7 @@ from calibration.addons.aws_batch.session import Aws
 from calibration.addons.aws_batch.settings import AWS_BATCH, BatchSettings
 from calibration.addons.aws_batch.store import CloudRun, Store
 from calibration.addons.aws_batch.submitting import CloudLeftover, deregister, find_in_queue, find_old, terminate
-from calibration.base.errors import InputError
-from calibration.base.text import count_of
+from calibration.base import InputError, count_of
 from calibration.ci.execution.backends import ExecutionTarget, Left, Leftovers, read_sections
 from calibration.ci.execution.docker.labels import Owner, check_run_name, new_run
 from calibration.ci.execution.job import Job

@@ -16,8 +16,7 @@ from calibration.addons.aws_batch.following import Poll, records
 from calibration.addons.aws_batch.session import Aws, aws_errors, error_code
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE_CONTAINER, WATCH_CONTAINER
-from calibration.base.errors import CalibrationError, InputError
-from calibration.base.text import one_line, shorten
+from calibration.base import CalibrationError, InputError, one_line, shorten
 from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
 from calibration.ci.registries.reference import ecr_host, parse_reference

@@ -20,8 +20,7 @@ from calibration.addons.aws_batch.wire import (
     WATCH_CONTAINER,
     mount_targets,
 )
-from calibration.base.errors import InputError
-from calibration.base.text import count_of
+from calibration.base import InputError, count_of
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
 
 TOOLS_MEMORY = 512

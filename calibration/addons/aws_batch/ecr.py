@@ -7,7 +7,7 @@ import boto3
 from botocore.config import Config
 
 from calibration.addons.aws_batch.session import aws_errors
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.registries.reference import ECR_PUBLIC, Credentials, Reference, ecr_host, parse_reference
 from calibration.ci.workflow import Runner, add_mask
 

@@ -11,8 +11,8 @@ from itertools import islice
 from typing import Annotated, Any, TypeVar
 
 from calibration.addons.aws_batch.session import Aws, aws_errors
+from calibration.base import one_line, shorten
 from calibration.base.records import between, field, length, record
-from calibration.base.text import one_line, shorten
 
 Item = TypeVar("Item")
 

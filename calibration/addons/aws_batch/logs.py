@@ -13,7 +13,7 @@ import botocore.exceptions
 from calibration.addons.aws_batch.following import Description
 from calibration.addons.aws_batch.session import Aws, AwsLostError, aws_errors, error_code
 from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER
-from calibration.base.errors import CalibrationError
+from calibration.base import CalibrationError
 from calibration.base.redaction import redact
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.log_file import MOST_BYTES, LogFile

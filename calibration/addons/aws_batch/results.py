@@ -20,10 +20,8 @@ from calibration.addons.aws_batch.wire import (
     max_outcome_bytes,
     read_outcome,
 )
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
-from calibration.base.files import write_atomically
+from calibration.base import CalibrationError, ExitCode, InfrastructureError, one_line, shorten, write_atomically
 from calibration.base.redaction import redact
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.artifacts import complete_or_not_at_all
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import (

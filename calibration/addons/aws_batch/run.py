@@ -35,7 +35,7 @@ from calibration.addons.aws_batch.wire import (
     parse_json,
     read_outcome,
 )
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
+from calibration.base import CalibrationError, ExitCode, InfrastructureError
 from calibration.base.records import document_of, read
 from calibration.ci.execution.docker.labels import new_run
 from calibration.ci.execution.job import Job

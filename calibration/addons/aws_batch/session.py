@@ -24,9 +24,8 @@ from boto3.exceptions import Boto3Error
 from botocore.config import Config
 from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, DeferredRefreshableCredentials
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError, one_line, shorten
 from calibration.base.http import Http
-from calibration.base.text import one_line, shorten
 
 _ACTION_OF_OPERATION = {
     **dict.fromkeys(("HeadBucket", "ListObjectsV2"), "s3:ListBucket"),

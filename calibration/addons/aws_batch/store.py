@@ -21,8 +21,7 @@ from calibration.addons.aws_batch.following import batches
 from calibration.addons.aws_batch.session import Aws, aws_errors, error_code, pages, with_retries
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import JOBS_PER_FILE, Input, Location, job_entry, jobs_document, mount_targets
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import writing
+from calibration.base import InfrastructureError, InputError, writing
 from calibration.ci.execution.job import Job
 
 Result = TypeVar("Result")

@@ -24,7 +24,7 @@ from calibration.addons.aws_batch.wire import (
     WATCH_CONTAINER,
     Location,
 )
-from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.base import CalibrationError, InfrastructureError
 from calibration.ci.execution.docker.labels import RUN_LABEL, Owner
 from calibration.ci.execution.job import Job
 

@@ -20,10 +20,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
-from calibration.base import documents
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError, documents, one_line, shorten
 from calibration.base.records import Converted, Place, between, document_of, field, length, read, record
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.extraction import RefusedError, path_parts
 from calibration.ci.execution.job import Container, Job, Limits, Relaxations
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End

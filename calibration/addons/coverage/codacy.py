@@ -9,9 +9,8 @@ from urllib.parse import quote, urlsplit
 
 from calibration.addons.coverage.lines import FileCoverage
 from calibration.addons.coverage.sources import language_of
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError, count_of, shorten
 from calibration.base.http import Answer, Http, is_loopback
-from calibration.base.text import count_of, shorten
 
 
 @dataclass(frozen=True)

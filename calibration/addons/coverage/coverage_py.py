@@ -20,9 +20,7 @@ from coverage.exceptions import ConfigError, CoverageException
 
 from calibration import MAX_IMAGE_PIXELS
 from calibration.addons.coverage.formats import MAX_BYTES, MAX_LINE, CoverageReport, parse_cobertura
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes
-from calibration.base.text import one_line, shorten
+from calibration.base import InfrastructureError, InputError, one_line, read_bytes, shorten
 
 INJECTED_FOLDER = Path(__file__).with_name("injected")
 REPORTER_FILE = INJECTED_FOLDER / "calibration_coverage.py"

@@ -39,11 +39,10 @@ from calibration.addons.coverage.tests import (
     parse_command,
     run_tests,
 )
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
-from calibration.base.files import matching, temporary_folder, write_atomically
+from calibration.base import ExitCode, InfrastructureError, InputError, one_line, temporary_folder, write_atomically
+from calibration.base.files import matching
 from calibration.base.process import hide
 from calibration.base.records import at_least, between, field, record
-from calibration.base.text import one_line
 from calibration.ci.execution.sizes import parse_seconds
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from calibration.ci.report import FILES, publish, remove_results

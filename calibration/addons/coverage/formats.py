@@ -9,9 +9,7 @@ from typing import Any, NoReturn
 from xml.etree.ElementTree import Element
 
 from calibration.addons.coverage.lines import FileCoverage, Rate, combined
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
-from calibration.base.text import one_line, shorten
+from calibration.base import InputError, one_line, parse_json, shorten
 from calibration.base.xml_reading import elements
 
 MAX_BYTES = 100 * 1024 * 1024

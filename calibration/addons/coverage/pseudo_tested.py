@@ -31,10 +31,8 @@ from calibration.addons.coverage.workers import (
     copy_of_checkout,
     run_on,
 )
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes, temporary_folder
+from calibration.base import InfrastructureError, InputError, one_line, read_bytes, shorten, temporary_folder
 from calibration.base.records import computed, field, result
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.log_file import LogFile
 from calibration.ci.workflow.runner import Runner
 

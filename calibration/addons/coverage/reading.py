@@ -20,8 +20,7 @@ from calibration.addons.coverage.formats import (
 )
 from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, functions_of, language_of
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, read_bytes
 from calibration.base.records import field, result
 from calibration.ci.git import Repository
 

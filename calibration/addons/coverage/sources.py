@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from calibration.base.errors import InputError
-from calibration.base.text import one_line, shorten
+from calibration.base import InputError, one_line, shorten
 from calibration.ci.git import Repository, is_commit
 from calibration.ci.workflow.runner import Event
 

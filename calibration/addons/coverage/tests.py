@@ -18,11 +18,9 @@ from typing import Any
 
 from calibration.addons.coverage.coverage_py import bring_coverage, measured_names, measuring, plain, write_settings
 from calibration.addons.coverage.formats import MAX_BYTES
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes
+from calibration.base import InfrastructureError, InputError, one_line, read_bytes, shorten
 from calibration.base.process import has_ended, started
 from calibration.base.records import computed, field, result
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.log_file import LogFile
 from calibration.ci.report.xunit_reading import Tally, read_test_report
 from calibration.ci.workflow.runner import Runner

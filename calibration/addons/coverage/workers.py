@@ -21,9 +21,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError, one_line, shorten
 from calibration.base.process import has_ended, started
-from calibration.base.text import one_line, shorten
 
 MAX_COPY_BYTES = 2 << 30
 """Largest checkout that is copied."""

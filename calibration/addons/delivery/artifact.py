@@ -23,7 +23,7 @@ from calibration.addons.delivery.destinations import (
     taken_meanwhile,
 )
 from calibration.addons.delivery.manifest import BUNDLE_ENDING, MAX_BUNDLE_BYTES, is_version, version_order
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.github.api import GitHubApi, MissingError, RefusedRequestError
 from calibration.ci.registries.reference import Reference
 from calibration.ci.registries.registry import Manifest, RegistryClient

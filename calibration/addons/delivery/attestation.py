@@ -13,9 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.addons.delivery.manifest import Manifest, RefusedBundleError
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, parse_json, read_bytes
 from calibration.base.optional import optional
 
 if TYPE_CHECKING:

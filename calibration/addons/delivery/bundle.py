@@ -8,9 +8,8 @@ import click
 
 from calibration.addons.delivery.bundling import BUNDLE_FOLDER, RunToBundle, make_bundle, with_collected, write_bundle
 from calibration.addons.delivery.results import KEY_VARIABLE, BundleResults, Delivered, DeliverySettings
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError, one_line
 from calibration.base.records import changed, field, record
-from calibration.base.text import one_line
 from calibration.ci.execution.tasks import locked
 from calibration.ci.report import remove_results
 from calibration.ci.workflow import Level, Runner, add_mask, annotate, set_outputs, stop_commands

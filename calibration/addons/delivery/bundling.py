@@ -33,11 +33,9 @@ from calibration.addons.delivery.manifest import (
     unpack_files,
 )
 from calibration.addons.delivery.results import KEY_VARIABLE, BundleResults, DeliverySettings
+from calibration.base import InputError, read_bytes, shorten, write_atomically
 from calibration.base.arrays import Array
 from calibration.base.documents import MAX_BYTES
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
-from calibration.base.text import shorten
 from calibration.base.verdict import worst_verdict
 from calibration.ci.git import Repository
 from calibration.ci.report import remove_results

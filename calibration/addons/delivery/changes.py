@@ -12,10 +12,8 @@ from calibration.addons.delivery.bundling import Bundle
 from calibration.addons.delivery.checking import Expectations, check_bundle
 from calibration.addons.delivery.destinations import Delivery, Destination, FetchedBundle
 from calibration.addons.delivery.manifest import BundledSystem, Manifest, RefusedBundleError, version_order
-from calibration.base.documents import parse_json
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError, escape_markdown, markdown_table, parse_json
 from calibration.base.records import read
-from calibration.base.text import escape_markdown, markdown_table
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import compare
 from calibration.engine.baseline.quality import SameData

@@ -25,7 +25,7 @@ from calibration.addons.delivery.manifest import (
     version_order,
 )
 from calibration.addons.delivery.results import DifferenceInUse
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey

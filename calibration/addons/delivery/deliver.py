@@ -15,10 +15,8 @@ from calibration.addons.delivery.changes import DeliveredBundle, deliver_bundle
 from calibration.addons.delivery.destinations import CHANGELOG_FILE, DeliveryFolder, Destination
 from calibration.addons.delivery.manifest import MAX_BUNDLE_BYTES
 from calibration.addons.delivery.results import KEY_VARIABLE, DeliverySettings
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
+from calibration.base import ExitCode, InputError, one_line, write_atomically
 from calibration.base.records import field, length, record
-from calibration.base.text import one_line
 from calibration.ci.execution.tasks import locked
 from calibration.ci.github.api import API_URL, GitHubApi
 from calibration.ci.registries.login import registry_login

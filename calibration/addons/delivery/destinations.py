@@ -26,8 +26,7 @@ from calibration.addons.delivery.manifest import (
     pack_files,
     version_order,
 )
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically, writing
+from calibration.base import InfrastructureError, InputError, read_bytes, write_atomically, writing
 from calibration.ci.workflow import Runner
 
 ATTESTATION_IN_FOLDER = f"attestation{ATTESTATION_ENDING}"

@@ -13,7 +13,7 @@ import numpy as np
 from calibration.addons.delivery.changes import read_contents
 from calibration.addons.delivery.checking import SECONDS_OF_DAY
 from calibration.addons.delivery.destinations import DeliveryFolder, FetchedBundle, fetch_bundle
-from calibration.base.errors import CalibrationError, ExitCode, InputError
+from calibration.base import CalibrationError, ExitCode, InputError
 from calibration.base.records import field, record, result
 from calibration.ci.execution.sizes import Seconds
 from calibration.ci.git import Repository

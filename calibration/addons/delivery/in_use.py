@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.parsers.expat import ExpatError, ParserCreate
 
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, one_line, read_bytes, shorten
 from calibration.base.optional import optional
-from calibration.base.text import one_line, shorten
 
 if TYPE_CHECKING:
     from calibration.robot.importing.bags.bag import Bag

@@ -11,10 +11,8 @@ from collections.abc import Mapping
 from itertools import dropwhile
 from typing import Annotated, Literal
 
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
+from calibration.base import InputError, one_line, parse_json, shorten
 from calibration.base.records import field, length, matching, read, result, text_of
-from calibration.base.text import one_line, shorten
 from calibration.base.verdict import Verdict
 
 MAX_BUNDLE_BYTES = 64 * 1024**2

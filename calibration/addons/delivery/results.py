@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 from calibration.addons.delivery.manifest import SystemLeftOut, Version
+from calibration.base import count_of
 from calibration.base.records import UNIQUE, field, length, matching, record, result
-from calibration.base.text import count_of
 from calibration.ci.report.results_json import StageResult
 
 KEY_VARIABLE = "CALIBRATION_SIGNING_KEY"

@@ -22,10 +22,8 @@ from calibration.addons.delivery.destinations import ATTESTATION_IN_FOLDER, Fetc
 from calibration.addons.delivery.in_use import MAX_FILE_BYTES, read_in_use
 from calibration.addons.delivery.manifest import BundledSystem, Manifest, RefusedBundleError, Version, version_order
 from calibration.addons.delivery.results import VerifyResults
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base import ExitCode, InputError, did_you_mean, one_line, read_bytes, write_atomically
 from calibration.base.records import Misfit, Place, between, field, read_as, record
-from calibration.base.text import did_you_mean, one_line
 from calibration.ci.execution.sizes import Seconds
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, publish, remove_results, verdict_of
 from calibration.ci.workflow import Runner

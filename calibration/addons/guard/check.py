@@ -12,8 +12,7 @@ from calibration.addons.guard.lerobot.dataset_check import card_table, check_fol
 from calibration.addons.guard.lerobot.episodes import is_dataset
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.results import TITLE, CheckedRecording, report
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
+from calibration.base import ExitCode, InputError, write_atomically
 from calibration.base.records import above, field, record
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner

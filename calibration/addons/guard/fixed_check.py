@@ -11,8 +11,8 @@ from calibration.addons.guard.fixed_camera import FixedCamera, Level, View
 from calibration.addons.guard.outcome import Placement, SensorCheck, direction_in_words, smallest_seen
 from calibration.addons.guard.recording import CameraImages
 from calibration.addons.guard.reference import KeptCamera
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.baseline.comparison import MAD_TO_SIGMA, change_points, noise_of
 from calibration.robot.labelling.detection import Image
 

@@ -17,8 +17,7 @@ from calibration.addons.guard.recording import (
 from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
 from calibration.addons.guard.witness.map_checks import map_checks_of_bag
 from calibration.addons.guard.witness.moving_frames import checks_of_bag
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean
+from calibration.base import InputError, did_you_mean
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import read_baseline
 

@@ -17,7 +17,7 @@ from calibration.addons.guard.reference import (
     encoded_features,
     read_reference,
 )
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.options import LensModel

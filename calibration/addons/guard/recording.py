@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.importing.bags.bag import BAG_ENDINGS, LIVOX_TYPES, NS_PER_S, Bag, open_bag
 from calibration.robot.importing.bags.messages import image_of
 from calibration.robot.importing.bags.survey import cameras_of, no_images

@@ -11,9 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 
 from calibration.addons.guard.features import DESCRIPTOR_SIZE, MAX_KEPT, Features
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, parse_json, read_bytes
 from calibration.base.records import Misfit, at_least, between, field, length, matching, read, record, text_of
 from calibration.engine.baseline.calibration_document import Name, Number
 from calibration.engine.estimation.options import LensModel

@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.addons.image_tests.settings import COVERAGE_FOLDER, ImageTests
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import read_bytes
+from calibration.base import ExitCode, InputError, count_of, one_line, read_bytes, shorten
 from calibration.base.records import computed, field, result
-from calibration.base.text import count_of, one_line, shorten
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, End, JobOutcome
 from calibration.ci.report import Block, Code, Lines, Outcome, Report, Table, Verdict, verdict_of
 from calibration.ci.report.junit import ErrorCode

@@ -21,10 +21,8 @@ from calibration.addons.recorder.panels import PosePanel, SequencePanel, ViewsPa
 from calibration.addons.recorder.preview import Preview
 from calibration.addons.recorder.scene import KEPT_COLOUR, LOST_COLOUR, UNKNOWN_COLOUR, RobotScene, view_point
 from calibration.addons.recorder.session import Session, joined
+from calibration.base import CalibrationError, InputError, count_of, temporary_folder
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError, InputError
-from calibration.base.files import temporary_folder
-from calibration.base.text import count_of
 from calibration.engine.geometry.transforms import from_quaternion
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.motion.sequence import Motion, read_motion

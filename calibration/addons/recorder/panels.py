@@ -15,8 +15,8 @@ import viser
 
 from calibration.addons.recorder.preview import MAX_PICTURE_WIDTH, Preview, SensorPreview
 from calibration.addons.recorder.session import Session
+from calibration.base import count_of
 from calibration.base.arrays import Array
-from calibration.base.text import count_of
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import from_xyz_rpy

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.depth_image import NO_RETURN
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.detection import Image, NotDetected

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import boolean_option, integer, path, system_folder, text
 

@@ -31,8 +31,7 @@ from calibration.addons.recorder.page import Page
 from calibration.addons.recorder.preview import preview
 from calibration.addons.recorder.record_motion import RecorderSettings
 from calibration.addons.recorder.session import Session
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.text import count_of
+from calibration.base import InfrastructureError, InputError, count_of
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.robot.simulation.motion.information import predicted_sigmas
 from calibration.robot.simulation.motion.sequence import read_motion

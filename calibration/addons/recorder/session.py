@@ -14,9 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InfrastructureError, InputError, read_bytes, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically
 from calibration.engine.geometry.transforms import inverse, translation
 from calibration.robot.simulation.description import MAX_BYTES
 from calibration.robot.simulation.inverse_kinematics import joints_between, reach

@@ -10,8 +10,7 @@ import click
 from calibration.addons.requirements.judging import judge_bag
 from calibration.addons.requirements.results import TITLE, JudgedMessages, MessageResults, annotations_of, report
 from calibration.addons.requirements.settings import RECORDED_PREFIX, RequirementSettings
-from calibration.base.documents import read_yaml
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError, read_yaml
 from calibration.base.records import field, read, record
 from calibration.ci.execution.ros import MESSAGES_FOLDER
 from calibration.ci.report import FILES, Report, publish, remove_results

@@ -17,9 +17,8 @@ from calibration.addons.requirements.predicates import (
     paths,
 )
 from calibration.addons.requirements.requirement import NS_PER_S, Message
-from calibration.base.errors import InputError
+from calibration.base import InputError, one_line, shorten
 from calibration.base.optional import optional
-from calibration.base.text import one_line, shorten
 
 MAX_TEXT_CHARACTERS = 10_000
 """Limit of the text of a property; its parser takes a time that grows with its depth."""

@@ -13,7 +13,7 @@ from calibration.addons.requirements.patterns import HplRequirement
 from calibration.addons.requirements.requirement import NS_PER_S, Judgement, Message, Requirement, duration
 from calibration.addons.requirements.settings import MAX_REQUIREMENTS, FrameRequirements, RequirementSettings
 from calibration.addons.requirements.topics import nanoseconds, topic_requirements
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.importing.bags.bag import Bag, open_bag
 
 

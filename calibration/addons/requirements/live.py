@@ -22,10 +22,8 @@ from calibration.addons.requirements.patterns import HplRequirement
 from calibration.addons.requirements.requirement import Message, Requirement
 from calibration.addons.requirements.settings import RequirementSettings
 from calibration.addons.requirements.topics import FieldValue
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
+from calibration.base import InputError, one_line, parse_json, shorten
 from calibration.base.optional import optional
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.supervision import BeginWatch
 
 MAX_MESSAGE_BYTES = 1 << 24

@@ -11,8 +11,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean
+from calibration.base import InputError, did_you_mean
 
 FieldTree: TypeAlias = Mapping[str, "FieldTree"]
 """Wanted fields by name, each with those wanted of it; of an empty tree all are wanted."""

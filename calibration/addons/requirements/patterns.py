@@ -13,8 +13,7 @@ from typing import Any
 from calibration.addons.requirements.hpl import Property
 from calibration.addons.requirements.predicates import MismatchError
 from calibration.addons.requirements.requirement import Judgement, Message, Requirement, duration
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean
+from calibration.base import InputError, did_you_mean
 
 MAX_WAITING_BYTES = 1 << 26
 """Limit of the messages that one requirement keeps, as later predicates read them."""

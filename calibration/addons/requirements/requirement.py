@@ -8,8 +8,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from calibration.addons.requirements.message_fields import FieldTree
+from calibration.base import shorten
 from calibration.base.records import field, result
-from calibration.base.text import shorten
 
 NS_PER_S = 10**9
 MAX_VALUES_SHOWN = 8

@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from calibration.addons.requirements.requirement import Judgement, Requirement
-from calibration.base.documents import line_of
+from calibration.base import line_of, shorten
 from calibration.base.records import computed, field, result
-from calibration.base.text import shorten
 from calibration.ci.report import Outcome, Report, Table, count_of, verdict_of
 from calibration.ci.report.results_json import StageResult
 from calibration.ci.workflow.runner import Annotation, Level

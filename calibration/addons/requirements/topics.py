@@ -16,7 +16,7 @@ from calibration.addons.requirements.requirement import (
     shown_value,
 )
 from calibration.addons.requirements.settings import FieldLimits, TopicRequirements
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 _STAMP: FieldTree = {"header": {"stamp": {}}}
 _NO_MESSAGE = "no message on it"

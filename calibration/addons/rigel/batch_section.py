@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from calibration.addons.rigel.fields import Fields, Notes, plain
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Place, flat_fields, read_as
 from calibration.ci.execution.backends import SECTIONS
 

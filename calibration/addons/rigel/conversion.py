@@ -22,8 +22,7 @@ from calibration.addons.rigel.systems import (
     named_system,
     system_of,
 )
-from calibration.base.errors import InputError
-from calibration.base.text import one_line, parse_number, shorten
+from calibration.base import InputError, one_line, parse_number, shorten
 from calibration.ci.execution.backends import SECTIONS
 
 MAX_NOISE = 1000.0

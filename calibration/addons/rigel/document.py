@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.addons.rigel.fields import Notes, Substitution, bounded, list_at, mapping_at, shown, text_at
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
-from calibration.base.text import shorten
+from calibration.base import InputError, read_yaml, shorten
 
 _REQUESTS_KEY = "createSimulationJobRequests"
 _KNOWN_KEYS = ("vars", "application", "applications", "jobs", "sequences", "providers")

@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from calibration.base.errors import InputError
-from calibration.base.text import one_line, shorten
+from calibration.base import InputError, one_line, shorten
 
 MARKED_TEXT = re.compile("\ue000[VSD]([^\ue001]*)\ue001")
 """Mark of a variable or of data in a text that is not written yet: see `substitution`."""

@@ -8,9 +8,7 @@ import click
 from calibration.addons.rigel.conversion import convert, written
 from calibration.addons.rigel.document import read_rigelfile
 from calibration.addons.rigel.fields import NoteKind
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import write_atomically
-from calibration.base.text import count_of, one_line
+from calibration.base import ExitCode, InputError, count_of, one_line, write_atomically
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, stop_commands
 from calibration.commands.parameters import boolean_option, path
 

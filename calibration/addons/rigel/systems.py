@@ -12,7 +12,7 @@ from typing import Any
 from calibration.addons.rigel.containers import Surroundings, component_entry, named
 from calibration.addons.rigel.document import Rigelfile, RigelJob
 from calibration.addons.rigel.fields import Notes, list_at, mapping_at, plain, text_at
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.ci.introspection import COLUMNS_KEY, translate
 

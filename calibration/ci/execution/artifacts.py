@@ -10,9 +10,7 @@ from fnmatch import translate
 from functools import cached_property
 from pathlib import Path
 
-from calibration.base.errors import InputError
-from calibration.base.files import writing
-from calibration.base.text import shorten
+from calibration.base import InputError, shorten, writing
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.ci.execution.job import Artifact, Container
 from calibration.ci.execution.outcome import ArtifactFile

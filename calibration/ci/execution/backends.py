@@ -11,11 +11,9 @@ from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
 
+from calibration.base import InputError, did_you_mean, read_yaml, with_variables
 from calibration.base.addons import BackendKind, import_attribute, of_addons
-from calibration.base.documents import read_yaml, with_variables
-from calibration.base.errors import InputError
 from calibration.base.records import field, flat_fields, read, record, with_fields
-from calibration.base.text import did_you_mean
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.execution.supervision import BeginWatch

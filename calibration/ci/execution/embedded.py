@@ -16,7 +16,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from calibration.base.errors import ExitCode, InfrastructureError
+from calibration.base import ExitCode, InfrastructureError
 from calibration.base.process import held_back
 
 Result = TypeVar("Result")

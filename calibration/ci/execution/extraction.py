@@ -9,9 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, cast
 
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
-from calibration.base.files import writing
-from calibration.base.text import one_line, shorten
+from calibration.base import CalibrationError, ExitCode, InfrastructureError, one_line, shorten, writing
 from calibration.ci.execution.sizes import describe_bytes
 
 MAX_FOLDER_DEPTH = 64

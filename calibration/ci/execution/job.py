@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base.errors import InputError
+from calibration.base import InputError, did_you_mean, shorten
 from calibration.base.records import (
     UNIQUE,
     ByName,
@@ -23,7 +23,6 @@ from calibration.base.records import (
     one_of,
     record,
 )
-from calibration.base.text import did_you_mean, shorten
 from calibration.ci.execution.sizes import Bytes, Seconds
 
 _BRACED_TEXT = r"\{\{|\}\}|\{([^{}]*)\}|[{}]"

@@ -6,8 +6,7 @@ import stat
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean, shorten
+from calibration.base import InputError, did_you_mean, shorten
 from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import CONTAINER_NAME, OUTPUT, Container, Job, Mount, Readiness
 

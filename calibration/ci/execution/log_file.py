@@ -6,9 +6,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from calibration.base.files import writing
+from calibration.base import shorten, writing
 from calibration.base.redaction import Redactor
-from calibration.base.text import shorten
 from calibration.ci.workflow.streams import tame
 
 MOST_BYTES = 64 * 1024**2

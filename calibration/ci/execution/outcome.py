@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base.errors import ExitCode
-from calibration.base.files import write_atomically, writing
+from calibration.base import ExitCode, write_atomically, writing
 from calibration.base.records import Converted, between, field, length, matching, record
 
 

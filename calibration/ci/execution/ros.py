@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 from typing import Annotated, Literal
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Converted, between, field, matching, record
 from calibration.ci.execution.job import Artifact, Container, Job, Readiness
 from calibration.ci.execution.outcome import End, JobOutcome

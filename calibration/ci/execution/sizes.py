@@ -4,7 +4,7 @@ import math
 import re
 from typing import Annotated, TypeGuard
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Converted
 
 _SIZE_TEXT = r"([0-9]+(?:\.[0-9]+)?)\s*([kmgt]?)(?:i?b)?"

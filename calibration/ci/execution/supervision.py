@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.artifacts import ArtifactCopier, Opener, complete_or_not_at_all
 from calibration.ci.execution.extraction import Budget
 from calibration.ci.execution.job import Container, Job, Readiness

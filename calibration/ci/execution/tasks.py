@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 from urllib.parse import quote
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import write_atomically, writing
+from calibration.base import InfrastructureError, InputError, write_atomically, writing
 from calibration.ci.execution.backends import Backend, ExecutionTarget
 from calibration.ci.execution.embedded import Embedded
 from calibration.ci.execution.job import Job

@@ -5,7 +5,7 @@ https://forgejo.org/docs/latest/user/actions/reference/
 
 from collections.abc import Iterable
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.github.service import GitHub
 from calibration.ci.workflow.runner import Annotation, Environment, PullRequestComments, Runner, Terminal
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 from urllib.parse import quote
 
-from calibration.base.errors import InputError
-from calibration.base.text import escape_markdown, markdown_table
+from calibration.base import InputError, escape_markdown, markdown_table
 from calibration.ci.github.api import API_URL, GitHubApi, MissingError
 from calibration.ci.github.service import GitHubEvent
 from calibration.ci.report.results_json import Brief

@@ -11,9 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self, TextIO
 
-from calibration.base.errors import InputError, brief
-from calibration.base.files import read_bytes
-from calibration.base.text import one_line, visible
+from calibration.base import InputError, brief, one_line, read_bytes, visible
 from calibration.ci.git import is_commit
 from calibration.ci.workflow.runner import Annotation, Environment, Event, Level, PullRequestComments, Runner, Terminal
 

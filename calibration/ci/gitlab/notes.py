@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.github.api import GitHubApi, MissingError
 from calibration.ci.github.comments import Comments, RunComments, run_number
 

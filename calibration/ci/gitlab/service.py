@@ -11,9 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from calibration.base.errors import InputError, brief
-from calibration.base.files import read_bytes, writing
-from calibration.base.text import one_line, shorten, visible
+from calibration.base import InputError, brief, one_line, read_bytes, shorten, visible, writing
 from calibration.ci.git import is_commit
 from calibration.ci.workflow.runner import (
     Annotation,

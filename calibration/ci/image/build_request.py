@@ -11,10 +11,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError, InputError
-from calibration.base.files import read_bytes, temporary_folder
+from calibration.base import (
+    CalibrationError,
+    ExitCode,
+    InfrastructureError,
+    InputError,
+    one_line,
+    read_bytes,
+    shorten,
+    temporary_folder,
+    without_escapes,
+)
 from calibration.base.redaction import redact
-from calibration.base.text import one_line, shorten, without_escapes
 from calibration.ci.image.context import Context
 from calibration.ci.image.specification import Secret
 from calibration.ci.workflow import Runner, add_mask

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.base.records import computed, field, result
 from calibration.ci.docker_engine import connect, engine_errors
 from calibration.ci.image.build_request import BuildLog, BuildRequest, SecretValue, read_secrets, refuse_secrets_in

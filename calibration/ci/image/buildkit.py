@@ -16,8 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import IO
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import temporary_folder
+from calibration.base import InfrastructureError, InputError, temporary_folder
 from calibration.base.process import has_ended, started
 from calibration.ci.image.build_request import MAX_LAST_LINES, BuildLog, BuildRequest, build_problem, secret_files
 from calibration.ci.registries.reference import DOCKER_HUB, Credentials

@@ -15,8 +15,7 @@ from urllib.parse import urlsplit, urlunsplit
 
 from docker.utils.build import Pattern
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.base.files import read_bytes, write_atomically, writing
+from calibration.base import CalibrationError, InfrastructureError, InputError, read_bytes, write_atomically, writing
 from calibration.ci.git import Repository
 from calibration.ci.services import service_of
 

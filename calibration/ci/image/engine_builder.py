@@ -16,7 +16,7 @@ import docker
 import requests
 import urllib3
 
-from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.base import CalibrationError, InfrastructureError
 from calibration.ci.image.build_request import BuildLog, BuildRequest, build_problem
 
 if TYPE_CHECKING:

@@ -13,9 +13,7 @@ from typing import TYPE_CHECKING
 
 import docker.errors
 
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
-from calibration.base.text import one_line
+from calibration.base import InputError, one_line, read_bytes
 from calibration.ci.docker_engine import connect, engine_errors, pull
 from calibration.ci.image.build_request import BuildLog
 from calibration.ci.image.context import NO_SOURCES, Context, Ignored, content_key, read_ignore_file

@@ -9,9 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
-from calibration.base.text import shorten
+from calibration.base import InputError, read_yaml, shorten
 
 _PACKAGE_NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(:[a-z0-9]+)?(=[A-Za-z0-9.+~:-]+)?(/[a-z0-9-]+)?")
 

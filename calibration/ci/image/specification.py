@@ -37,8 +37,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
-from calibration.base.documents import read_yaml, with_variables
-from calibration.base.errors import InputError
+from calibration.base import InputError, read_yaml, with_variables
 from calibration.base.records import (
     UNIQUE,
     Converted,

@@ -5,9 +5,8 @@ from collections.abc import Mapping
 
 from docker import auth, errors
 
+from calibration.base import InfrastructureError, InputError, one_line, shorten
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.text import one_line, shorten
 from calibration.ci.registries.reference import DOCKER_HUB, Credentials, RegistrySettings, is_ecr, parse_reference
 from calibration.ci.workflow import Runner, add_mask
 

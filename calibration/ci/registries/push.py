@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import docker.errors
 import requests
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError, one_line, shorten
 from calibration.base.redaction import redact
-from calibration.base.text import one_line, shorten
 from calibration.ci.registries.reference import Credentials, Reference, check_tag, is_digest, parse_reference
 from calibration.ci.registries.registry import Manifest, RegistryClient, denied
 from calibration.ci.workflow import Runner

@@ -5,10 +5,9 @@ import re
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
-from calibration.base.errors import InputError
+from calibration.base import InputError, shorten
 from calibration.base.records import field as declared
 from calibration.base.records import length, matching, needs, record
-from calibration.base.text import shorten
 
 DOCKER_HUB = "docker.io"
 """Registry of names without one."""

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Self
 from urllib.parse import urlencode, urljoin, urlsplit
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError, one_line, shorten
 from calibration.base.http import MAX_BYTES, Answer, Http, Timeouts, is_loopback
-from calibration.base.text import one_line, shorten
 from calibration.ci.registries.reference import DOCKER_HUB, Credentials, Reference, is_digest, parse_reference
 
 _SCHEME_NAME = re.compile(r"(?:^|,)\s*(bearer|basic)\b", re.IGNORECASE)

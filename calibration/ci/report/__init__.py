@@ -4,7 +4,7 @@ A command describes its results in a :class:`Report`: its verdict, a :class:`Che
 :class:`Outcome` for each unit of work, tables and notes. :func:`publish` writes and shows all of it.
 """
 
-from calibration.base.text import count_of
+from calibration.base import count_of
 from calibration.base.verdict import VERDICTS, Check, Verdict, at_least, at_most, expectation, verdict_of, worst_verdict
 from calibration.ci.report.blocks import Block, Code, Lines, Table, Text, shown
 from calibration.ci.report.junit import Outcome, outcome_of_check

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from calibration.base.text import aligned, code_block, escape_markdown, markdown_table, one_line
+from calibration.base import aligned, code_block, escape_markdown, markdown_table, one_line
 
 MOST_LINES = 1000
 """Default limit of lines or rows of a block; files of results contain all."""

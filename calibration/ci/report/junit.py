@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode, visible
 from calibration.base.records import Converted
-from calibration.base.text import visible
 from calibration.base.verdict import Check, Verdict, verdict_of
 from calibration.ci.report.blocks import MOST_LINES, cut
 from calibration.ci.report.results_json import RESULTS_FILE

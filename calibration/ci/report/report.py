@@ -7,9 +7,7 @@ from itertools import accumulate, takewhile
 from pathlib import Path
 from typing import Any
 
-from calibration.base.errors import ExitCode, InfrastructureError
-from calibration.base.files import follow_no_links, write_atomically
-from calibration.base.text import escape_markdown, one_line
+from calibration.base import ExitCode, InfrastructureError, escape_markdown, follow_no_links, one_line, write_atomically
 from calibration.base.verdict import Verdict
 from calibration.ci.report.blocks import MOST_LINES, Block, Lines, Table, cut
 from calibration.ci.report.junit import Outcome, junit_xml

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Literal, TypeVar
 
-from calibration.base.documents import parse_json
-from calibration.base.errors import CalibrationError, InputError
-from calibration.base.files import read_bytes
+from calibration.base import CalibrationError, InputError, parse_json, read_bytes
 from calibration.base.records import computed, field, read, result, value_of
 from calibration.base.verdict import Verdict, verdict_of
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from typing import Literal, Self
 from xml.etree.ElementTree import Element
 
-from calibration.base.errors import InputError
+from calibration.base import InputError, one_line, shorten
 from calibration.base.flake_rate import FlakeRate
 from calibration.base.records import field, result
-from calibration.base.text import one_line, shorten
 from calibration.base.xml_reading import elements
 
 CaseState = Literal["passed", "failed", "skipped"]

@@ -14,10 +14,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TextIO, TypeAlias
 
-from calibration.base.errors import InfrastructureError, InputError, brief
-from calibration.base.files import writing
+from calibration.base import InfrastructureError, InputError, brief, one_line, writing
 from calibration.base.redaction import derived_forms
-from calibration.base.text import one_line
 
 
 class Level(enum.StrEnum):

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Protocol
 
-from calibration.base.errors import InputError
-from calibration.base.text import one_line, shorten, without_escapes
+from calibration.base import InputError, one_line, shorten, without_escapes
 from calibration.ci.workflow.runner import Runner, group, stop_commands
 
 MAX_SHOWN_CHARACTERS = 4 * 1024**2

@@ -8,9 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base import InputError, parse_json, read_bytes, write_atomically
 from calibration.base.records import document_of, field, length, read, record, result
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineChange, compare

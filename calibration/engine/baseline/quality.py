@@ -19,10 +19,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from calibration.base.errors import InputError
+from calibration.base import InputError, number_text, shorten
 from calibration.base.records import Converted, Place, at_least, field, length, record
 from calibration.base.tables.rules import Allowance, parse_allowance
-from calibration.base.text import number_text, shorten
 from calibration.base.verdict import Check, at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineComparison

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.base.text import rounded
+from calibration.base import rounded
 from calibration.base.verdict import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare

@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InfrastructureError, InputError, UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import InfrastructureError, InputError, UndeterminedError
 from calibration.base.optional import optional
 from calibration.engine.comparison import hand_eye_solvers
 from calibration.engine.comparison.hand_eye_solvers import relative_motions

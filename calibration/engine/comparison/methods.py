@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from calibration.base.errors import InputError, solvable
-from calibration.base.text import did_you_mean
+from calibration.base import InputError, did_you_mean, solvable
 from calibration.engine.comparison.arm import HAND_EYE, ROBOT_WORLD, by_arm, described, why_not_arm
 from calibration.engine.comparison.sensor_pairs import (
     CAMERA_MODALITIES,

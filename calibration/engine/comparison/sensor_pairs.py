@@ -20,8 +20,8 @@ from typing import Literal
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.base.optional import optional
 from calibration.engine.dataset.modalities import MODALITIES, Modality
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels, Sensor

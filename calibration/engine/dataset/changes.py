@@ -16,8 +16,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, read_bytes
 from calibration.engine.dataset.document import MAX_BYTES, Node, parse_document
 from calibration.engine.dataset.edges import read_transform
 from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY

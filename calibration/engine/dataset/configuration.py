@@ -10,8 +10,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
+from calibration.base import InputError, read_yaml
 from calibration.base.records import read
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import MODALITIES

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError, read_bytes
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
 from calibration.base.optional import optional
 from calibration.engine.dataset.document import shown
 from calibration.engine.geometry.cameras import Camera

@@ -14,10 +14,8 @@ from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
+from calibration.base import InputError, RepeatedKeyError, parse_json, read_bytes
 from calibration.base.arrays import Array, IntArray
-from calibration.base.documents import RepeatedKeyError, parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
 
 MAX_BYTES = 1 << 30
 """Limit of a file's size in bytes."""

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.document import Node, NotNumbersError, finite_rows
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry import rotations, transforms

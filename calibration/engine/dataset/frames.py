@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import read_links
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.model import Dataset, Edge, Joint

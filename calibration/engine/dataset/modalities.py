@@ -11,8 +11,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset import pointcloud
 from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node, locate_existing

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.modalities import Modality
 from calibration.engine.dataset.pattern import Pattern

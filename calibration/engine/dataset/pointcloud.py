@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError, read_bytes, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
 from calibration.engine.dataset.document import MAX_BYTES, Node, shown
 
 Cloud = NDArray[np.floating[Any]]

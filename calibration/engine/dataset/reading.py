@@ -4,8 +4,8 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.process import no_collector
 from calibration.engine.dataset.changes import CHANGES_KEY, changed_document
 from calibration.engine.dataset.configuration import Configuration, parse_configuration

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.configuration import SensorConfiguration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY, LensUncertainty, read_uncertainty

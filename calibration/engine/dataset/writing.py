@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InputError, link_or_copy, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import link_or_copy, write_atomically
 from calibration.engine.dataset.changes import CHANGES_KEY, reference_to
 from calibration.engine.dataset.configuration import FIRST_PATTERN
 from calibration.engine.dataset.document import Node, locate

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.precision import RECOMMENDED_COLLECTIONS, too_few

@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError, UndeterminedError
+from calibration.base import CalibrationError, UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import MAX_SPACING
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import MIN_SIZE, Pattern, grid, tag_grid

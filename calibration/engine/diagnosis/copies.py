@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, label_arrays
 from calibration.engine.diagnosis.finding import Finding, first_names
 from calibration.engine.geometry.transforms import distance

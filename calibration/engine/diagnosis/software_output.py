@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from calibration.base import parse_number
 from calibration.base.arrays import Array
 from calibration.base.tables.table import KeyedTable
 from calibration.base.tables.table import Table as Csv
-from calibration.base.text import parse_number
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits

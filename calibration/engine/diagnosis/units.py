@@ -5,8 +5,8 @@ from itertools import combinations
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, Edge, Joint, PointLabels, PoseLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm

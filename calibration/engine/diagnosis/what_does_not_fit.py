@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.base import rounded, with_error_bar
 from calibration.base.arrays import Array
-from calibration.base.text import rounded, with_error_bar
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import SENSOR_UNITS, TWIST_UNITS, Limits, allowed, block_of, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from calibration.base import UndeterminedError
 from calibration.base.arrays import BoolArray, IntArray
-from calibration.base.errors import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.calibrated import (
     calibrated_dataset,

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.base.errors import solvable
+from calibration.base import solvable
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.at_optimum import calibration_at, why_invalid, why_not_reached
 from calibration.engine.estimation.covariance.result import Calibration

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import Dataset, Labels, PoseLabels
 from calibration.engine.estimation.covariance.calibrated import calibrated_dataset
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calibration.base.errors import InputError, UndeterminedError, solvable
+from calibration.base import InputError, UndeterminedError, solvable
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.sensors import MAX_LAG
 from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels, PoseLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.result import Calibration

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, PointLabels, Sensor
 from calibration.engine.evaluation.table import COLLECTION_HEADER, COLLECTION_PAIR, Table
 from calibration.engine.evaluation.views import (

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.document import Node, NotNumbersError, finite, read_json
 from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.dataset.pattern import Pattern

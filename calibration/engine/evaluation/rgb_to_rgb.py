@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.evaluation.table import COLLECTION_HEADER, Table

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.label_errors import MEASURED_POSE_COLUMNS, measured_poses, single_rgb

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import write_atomically
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.files import write_atomically
 
 AVERAGES_ROW = "Averages"
 """The label of the last row."""

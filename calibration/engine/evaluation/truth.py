@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, Edge, Joint, Sensor
 from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.table import COLLECTION_HEADER, Table

@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.modalities import Modality, of_family
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, PointLabels, PoseLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern

@@ -7,8 +7,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, ArrayLike
-from calibration.base.errors import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import adjoint, inverse, transform, translation
 

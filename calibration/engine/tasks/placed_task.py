@@ -20,9 +20,8 @@ from functools import cached_property
 
 import numpy as np
 
+from calibration.base import InputError, did_you_mean
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.estimation.covariance.fixed_inputs import STILL_TOLERANCE, Chain, chain_along, joint_axis
 from calibration.engine.estimation.covariance.result import Solution

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.estimation.covariance.error_bars import ErrorSource, SourceKind
 from calibration.engine.estimation.covariance.result import Calibration, Solution
 from calibration.engine.tasks.gaussian_norm import quantile_of_norm, size_without_error

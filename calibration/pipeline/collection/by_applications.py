@@ -11,10 +11,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from calibration.base.documents import parse_json
-from calibration.base.errors import CalibrationError, ExitCode, InputError
-from calibration.base.files import read_bytes, temporary_folder, write_atomically, writing
-from calibration.base.text import one_line, shorten
+from calibration.base import (
+    CalibrationError,
+    ExitCode,
+    InputError,
+    one_line,
+    parse_json,
+    read_bytes,
+    shorten,
+    temporary_folder,
+    write_atomically,
+    writing,
+)
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.ros import MESSAGES_FOLDER, recorder_reasons

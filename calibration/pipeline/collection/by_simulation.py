@@ -14,10 +14,8 @@ import cv2
 import numpy as np
 
 from calibration import __version__
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import read_bytes, temporary_folder, write_atomically
+from calibration.base import ExitCode, InputError, one_line, read_bytes, shorten, temporary_folder, write_atomically
 from calibration.base.records import read, text_of
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import (
     ByName,
     Converted,

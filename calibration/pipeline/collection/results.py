@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from functools import cached_property
 
-from calibration.base.errors import ExitCode, exit_code_of
+from calibration.base import ExitCode, exit_code_of
 from calibration.base.records import field, result
 from calibration.ci.report import Check, Verdict, at_least, at_most, count_of, verdict_of
 from calibration.engine.dataset.modalities import MODALITIES

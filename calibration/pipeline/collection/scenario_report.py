@@ -8,7 +8,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.report import FILES, Block, Code, Lines, Outcome, Report, Table, Text, count_of, shown
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult

@@ -12,11 +12,17 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from calibration import __version__
-from calibration.base.documents import parse_json
-from calibration.base.errors import ExitCode, InputError
-from calibration.base.files import read_bytes, temporary_folder, write_atomically, writing
+from calibration.base import (
+    ExitCode,
+    InputError,
+    one_line,
+    parse_json,
+    read_bytes,
+    temporary_folder,
+    write_atomically,
+    writing,
+)
 from calibration.base.records import document_of, field, length, read, record
-from calibration.base.text import one_line
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import LOGS_FOLDER, JobOutcome

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import product, takewhile
 
-from calibration.base.errors import ExitCode, exit_code_of
+from calibration.base import ExitCode, exit_code_of
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Check, Verdict, at_least, verdict_of
 from calibration.ci.report.junit import ErrorCode

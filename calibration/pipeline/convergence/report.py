@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError, number_text, one_line, shorten
 from calibration.base.optional import figures_of_matplotlib, optional
-from calibration.base.text import number_text, one_line, shorten
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, outcome_of_check
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, ConvergenceResults, without_noise
 from calibration.pipeline.matrix.cell_result import noise_text

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration import __version__
-from calibration.base.errors import InputError
-from calibration.base.files import temporary_folder
+from calibration.base import InputError, temporary_folder
 from calibration.base.records import document_of, read
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import identity, run_tasks, workspace

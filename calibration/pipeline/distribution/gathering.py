@@ -6,10 +6,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from calibration.base import records
-from calibration.base.errors import CalibrationError, ExitCode, InputError, brief
+from calibration.base import CalibrationError, ExitCode, InputError, brief, one_line, records
 from calibration.base.records import result
-from calibration.base.text import one_line
 from calibration.ci.report import RESULTS_FILE, Lines, Report, Text, Verdict, reasons_in, verdict_of
 from calibration.ci.report.badge import BADGE_FILE as BADGE
 from calibration.ci.report.badge import verdict_badge

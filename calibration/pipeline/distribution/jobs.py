@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from dataclasses import field as dataclass_field
 from pathlib import Path
 
-from calibration.base.errors import CalibrationError, InputError
-from calibration.base.files import read_bytes
+from calibration.base import CalibrationError, InputError, number_text, read_bytes
 from calibration.base.records import computed, field, result
-from calibration.base.text import number_text
 from calibration.ci.report import Table
 from calibration.pipeline.distribution.plan import WorkflowPlan
 

@@ -8,11 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+from calibration.base import InfrastructureError, InputError, did_you_mean, number_text, read_bytes
 from calibration.base.addons import AddonStage, of_addons
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import read_bytes
 from calibration.base.records import between, field, record
-from calibration.base.text import did_you_mean, number_text
 from calibration.ci.execution.backends import Sections
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.configuration import PipelineConfiguration

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import UndeterminedError
 from calibration.engine.baseline.calibration_document import TaskDocument
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+from calibration.base import number_text
 from calibration.base.records import computed, field, record, result
-from calibration.base.text import number_text
 from calibration.ci.report import Verdict
 from calibration.ci.report.junit import ErrorCode
 from calibration.engine.baseline.calibration_document import CalibrationDocument

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.tables.rules import RuleSet
 from calibration.base.tables.table import EveryRow, parse_table, read_table
 from calibration.base.tables.table_verdict import judge

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.work_poses import WorkPoses

@@ -7,7 +7,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.baseline.calibration_document import CalibrationDocument, CalibrationDocuments
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.dataset.model import Dataset

@@ -12,8 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean
+from calibration.base import InputError, did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset.changes import refuse_changes

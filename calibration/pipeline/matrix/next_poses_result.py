@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+from calibration.base import count_of
 from calibration.base.records import field, result
-from calibration.base.text import count_of
 from calibration.engine.baseline.calibration_document import PromiseDocument
 from calibration.engine.next_pose.advice import MAX_NEEDED, WORTH_TAKING
 from calibration.engine.tasks.robot_task import TaskUnit

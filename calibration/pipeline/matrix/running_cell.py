@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError
-from calibration.base.files import write_atomically
+from calibration.base import CalibrationError, write_atomically
 from calibration.engine.baseline.verdict import against_baseline
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME

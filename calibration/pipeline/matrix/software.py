@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Place, changed, field, length, read, record
 from calibration.ci.execution.job import (
     NETWORK_HELP,

@@ -7,10 +7,8 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from calibration.base.errors import CalibrationError, ExitCode, InputError
-from calibration.base.files import temporary_folder
+from calibration.base import CalibrationError, ExitCode, InputError, number_text, parse_number, temporary_folder
 from calibration.base.tables.table import KeyedTable, LabelledRow, read_table
-from calibration.base.text import number_text, parse_number
 from calibration.ci.execution.job import OUTPUT, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task

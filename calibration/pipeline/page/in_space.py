@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from calibration.base import CalibrationError
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError
 from calibration.ci.pages.charts import thinned
 from calibration.ci.pages.html import Html, element, join
 from calibration.ci.pages.scene import Cloud, Kind, Line, scene

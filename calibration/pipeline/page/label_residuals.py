@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from calibration.base import CalibrationError
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError
 from calibration.base.optional import optional
 from calibration.ci.pages.charts import drawing, heat_map, histogram, text
 from calibration.ci.pages.html import Html, element, figure, join

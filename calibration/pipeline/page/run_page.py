@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError
+from calibration.base import CalibrationError
 from calibration.ci.pages.charts import ellipses, heat_map, point_map, trend
 from calibration.ci.pages.html import Html, bullets, element, figure, folded, join, page, section, table, verdict_line
 from calibration.ci.report import VERDICTS, Report, Table, Verdict, count_of

@@ -9,9 +9,9 @@ from dataclasses import field as dataclass_field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
+from calibration.base import ExitCode
 from calibration.base.addons import of_addons
 from calibration.base.arrays import Array
-from calibration.base.errors import ExitCode
 from calibration.base.flake_rate import MAX_REPETITIONS
 from calibration.base.records import between, field, one_of, record, value_of
 from calibration.base.verdict import Verdict

@@ -8,10 +8,9 @@ from statistics import fmean, stdev
 
 import numpy as np
 
+from calibration.base import ExitCode, count_of, exit_code_of, shorten
 from calibration.base.arrays import Array
-from calibration.base.errors import ExitCode, exit_code_of
 from calibration.base.records import computed, field, result
-from calibration.base.text import count_of, shorten
 from calibration.base.verdict import Check, Verdict, at_most
 from calibration.ci.report.junit import ErrorCode, Outcome
 from calibration.ci.report.xunit_reading import CaseOutcome, RepeatedFailure, repeated_failures

@@ -6,10 +6,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from calibration.base import CalibrationError, ExitCode, count_of, one_line
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.errors import CalibrationError, ExitCode
 from calibration.base.flake_rate import MAX_REPETITIONS, runs_show
-from calibration.base.text import count_of, one_line
 from calibration.ci.execution.tasks import locked
 from calibration.ci.pages.html import bullets, element, join, page, table, verdict_line
 from calibration.ci.report import FILES, Block, Lines, Outcome, Report, Table, remove_results, show

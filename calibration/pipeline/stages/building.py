@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.image.building import build_image
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote

@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.base.text import shorten
+from calibration.base import shorten
 from calibration.ci.workflow.streams import progress
 from calibration.pipeline.baselines import commit_of_run, with_accepted
 from calibration.pipeline.matrix.cell_result import CellResult

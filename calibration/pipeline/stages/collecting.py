@@ -3,8 +3,8 @@
 import time
 from dataclasses import replace
 
+from calibration.base import CalibrationError
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.errors import CalibrationError
 from calibration.ci.execution.backends import EMBEDDED
 from calibration.ci.execution.supervision import BeginWatch
 from calibration.ci.workflow.streams import progress

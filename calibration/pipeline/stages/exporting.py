@@ -5,8 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from calibration.base.errors import CalibrationError
-from calibration.base.files import write_atomically
+from calibration.base import CalibrationError, write_atomically
 from calibration.base.records import field, result, text_of
 from calibration.ci.report import Verdict
 from calibration.engine.baseline.calibration_document import CalibrationDocument

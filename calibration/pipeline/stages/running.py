@@ -10,10 +10,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from calibration.base import InputError, did_you_mean, line_of
 from calibration.base.addons import AddonStage, import_attribute, of_addons
-from calibration.base.documents import line_of
-from calibration.base.errors import InputError
-from calibration.base.text import did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.tasks import locked

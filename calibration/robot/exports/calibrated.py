@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import distance

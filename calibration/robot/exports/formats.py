@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.optional import optional
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.geometry.cameras import Camera

@@ -13,8 +13,8 @@ from xml.parsers.expat import ParserCreate, XMLParserType
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.base.errors import InputError
-from calibration.base.files import link_or_copy
+from calibration.base import InputError, link_or_copy
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.document import Node, locate, read_json
 from calibration.engine.dataset.model import ESTIMATED_KEY

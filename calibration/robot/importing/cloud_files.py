@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError, read_bytes
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
 from calibration.engine.dataset.pointcloud import read_points, write_points
 from calibration.robot.importing.bags.range_views import MAX_POINTS, RangeView, cloud_message
 from calibration.robot.importing.files.confined_decoding import confined_decoding

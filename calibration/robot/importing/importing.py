@@ -12,10 +12,8 @@ import cv2
 import numpy as np
 
 from calibration import __version__
+from calibration.base import InputError, link_or_copy, read_yaml, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
-from calibration.base.files import link_or_copy, write_atomically
 from calibration.base.records import read, text_of
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration

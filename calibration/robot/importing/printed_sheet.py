@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import CIRCLE_KINDS
 from calibration.robot.labelling.aprilgrid import cell_ends, tag_cells

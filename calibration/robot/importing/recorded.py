@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import CalibrationError, InputError, UndeterminedError, temporary_folder
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import CalibrationError, InputError, UndeterminedError
-from calibration.base.files import temporary_folder
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge

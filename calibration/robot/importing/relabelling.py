@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from calibration import __version__
-from calibration.base.errors import InputError
-from calibration.base.files import link_or_copy, write_atomically
+from calibration.base import InputError, link_or_copy, write_atomically
 from calibration.base.records import read, text_of
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
 from calibration.engine.dataset.configuration import PatternConfiguration, parse_configuration

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
+from calibration.base import InputError, read_bytes, write_atomically
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.robot.importing.bags.bag import NS_PER_S
 from calibration.robot.importing.bags.recordings import SeenImage, SeenImages

@@ -18,8 +18,8 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, TAG_COUNT, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import tag_grid, tag_lines, tag_outline

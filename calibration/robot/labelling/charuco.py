@@ -11,7 +11,7 @@ origin at the corner of the top-left pixel; here the pixel's centre is (0, 0).
 import cv2
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.board_corners import (

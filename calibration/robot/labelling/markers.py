@@ -7,8 +7,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.robot.labelling.detection import Image
 

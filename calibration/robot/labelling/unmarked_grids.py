@@ -28,8 +28,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.board_image import Prediction, fits_neighbours, predict

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.calibrated import calibrated_dataset
 from calibration.engine.estimation.covariance.result import Solution

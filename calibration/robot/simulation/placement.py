@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.transforms import inverse
 from calibration.robot.simulation.motion.sequence import Motion

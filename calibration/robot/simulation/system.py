@@ -15,10 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
+from calibration.base import InputError, read_bytes, read_yaml
 from calibration.base.arrays import Array
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
 from calibration.base.records import Converted, Place, between, field, read, read_as, record, unknown_key
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration, read_configuration
 from calibration.engine.dataset.model import Edge

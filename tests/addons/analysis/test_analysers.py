@@ -9,7 +9,7 @@ from calibration.addons.analysis.analysers import ANALYSERS
 from calibration.addons.analysis.analysers.analyser import module, run_program
 from calibration.addons.analysis.copies import Copy, may_be_analysed
 from calibration.addons.analysis.results import CodeFinding
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from tests.repositories import write
 
 WORKFLOW = """on: pull_request_target

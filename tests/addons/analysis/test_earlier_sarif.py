@@ -8,7 +8,7 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.addons.analysis.report import read_earlier
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.repositories import commit
 
 BAD = "def calculated(text):\n    return eval(text)\n"

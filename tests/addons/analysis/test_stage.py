@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.workflow import Runner
 from calibration.commands.run import RunSettings, run
 from tests.repositories import git

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.addons.analysis.results import CodeFinding, Suppressed
 from calibration.addons.analysis.settings import Suppression, parse_limits, read_suppressions, sift
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 TODAY = date(2030, 1, 31)
 FINDING = CodeFinding("scripts/run.py", 3, "ruff/S603", "security", "warning", "subprocess")

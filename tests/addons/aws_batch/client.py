@@ -24,7 +24,7 @@ from calibration.addons.aws_batch.wire import (
     outcome_document,
     read_job,
 )
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 from tests.addons.aws_batch.emulator.attempt import Attempt, Ended

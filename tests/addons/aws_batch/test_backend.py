@@ -20,7 +20,7 @@ from calibration.addons.aws_batch.session import Aws as Client
 from calibration.addons.aws_batch.session import AwsLostError, Backoff
 from calibration.addons.aws_batch.submitting import terminate
 from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, TaskJob
-from calibration.base.errors import ExitCode, InfrastructureError
+from calibration.base import ExitCode, InfrastructureError
 from calibration.ci.execution.job import Limits, Mount
 from calibration.ci.execution.outcome import End, JobOutcome
 from calibration.ci.workflow import Runner

@@ -6,7 +6,7 @@ import pytest
 
 from calibration.addons.aws_batch.checks import check_for_batch
 from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job, Limits, Mount, Readiness, Relaxations
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.ros import on_one_address, with_ros

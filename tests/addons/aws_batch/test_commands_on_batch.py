@@ -8,7 +8,7 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.addons.aws_batch.wire import TaskJob
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.workflow import Runner
 from calibration.commands.target import RUN_FILE, execution_target, name_of_run
 from tests.addons.aws_batch.client import Did, Tasks

@@ -13,7 +13,7 @@ from calibration.addons.aws_batch.definition import (
     shape_of,
 )
 from calibration.addons.aws_batch.settings import BatchSettings
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.job import Container, Job, Mount, Relaxations
 from tests.addons.aws_batch.samples import (
     EC2,

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from calibration.addons.aws_batch.ecr import ecr_credentials
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import RegistrySettings, ecr_host, is_ecr

@@ -5,7 +5,7 @@ import pytest
 from calibration.addons.aws_batch.following import Attempt, ContainerEnd, Description
 from calibration.addons.aws_batch.results import ends_alone, why_no_outcome, with_ends
 from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER, TaskOutcome
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import Job, Limits
 from calibration.ci.execution.outcome import ContainerOutcome, End
 from tests.addons.aws_batch.client import container

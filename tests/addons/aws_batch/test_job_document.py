@@ -16,7 +16,7 @@ from calibration.addons.aws_batch.wire import (
     parse_json,
     read_job,
 )
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.execution.job import Artifact, Container, Job, Limits, Mount, Readiness
 
 SECRET = "pl4nted"  # noqa: S105

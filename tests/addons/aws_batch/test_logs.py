@@ -12,7 +12,7 @@ from calibration.addons.aws_batch import logs
 from calibration.addons.aws_batch.logs import write_log
 from calibration.addons.aws_batch.session import Aws, AwsLostError
 from calibration.addons.aws_batch.wire import TaskJob
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.outcome import End
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay

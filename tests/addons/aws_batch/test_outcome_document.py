@@ -15,7 +15,7 @@ from calibration.addons.aws_batch.wire import (
     outcome_document,
     read_outcome,
 )
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
+from calibration.base import CalibrationError, ExitCode, InfrastructureError
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
 

@@ -19,7 +19,7 @@ from calibration.addons.aws_batch.checks import check_queue, likely_reasons, wit
 from calibration.addons.aws_batch.definition import Resources
 from calibration.addons.aws_batch.session import Aws
 from calibration.addons.aws_batch.submitting import ensure, find_in_queue, find_old, owner_of, run_tags, terminate
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.execution.docker.labels import Owner
 from calibration.ci.execution.job import Limits
 from tests.addons.aws_batch.client import SETTINGS, Tasks, container, job, jobs, running, wait_for

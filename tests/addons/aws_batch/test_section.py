@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.pipeline.configuration import PipelineConfiguration, read_configuration
 
 ROLE = "arn:aws:iam::123456789012:role/robots"

@@ -10,7 +10,7 @@ import pytest
 from calibration.addons.aws_batch import session
 from calibration.addons.aws_batch.session import Aws, AwsLostError, aws_errors
 from calibration.addons.aws_batch.store import Store
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from tests.addons.aws_batch.fixtures import BUCKET, REGION
 from tests.addons.aws_batch.fixtures import Aws as FakeAws
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from calibration.addons.aws_batch.settings import BatchSettings, Prices
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import flat_fields, read
 
 ACCOUNT = "123456789012"

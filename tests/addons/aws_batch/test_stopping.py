@@ -14,7 +14,7 @@ import pytest
 
 from calibration.addons.aws_batch.backend import BatchBackend
 from calibration.addons.aws_batch.wire import TaskJob
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.addons.aws_batch.session import Aws, AwsLostError
 from calibration.addons.aws_batch.store import Store
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from tests.addons.aws_batch.fixtures import BUCKET, REGION
 from tests.addons.aws_batch.fixtures import Aws as FakeAws
 

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.aws_batch.definition import TOOLS_MEMORY, Resources, TaskSize, task_size
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 GIB = 1024
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.results import CoverageOfChange, Span, coverage_of_change
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from tests.repositories import commit, git
 

@@ -20,7 +20,7 @@ from calibration.addons.coverage.codacy import (
     report_body,
 )
 from calibration.addons.coverage.lines import FileCoverage, Rate
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.base.http import FIRST_PAUSE, MAX_ATTEMPTS, MAX_BYTES, Http, Timeouts
 from tests.docker_engine import wait_until
 

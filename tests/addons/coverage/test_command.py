@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.coverage.tests import CommandOfTests, parse_command
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.repositories import write
 
 

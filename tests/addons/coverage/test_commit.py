@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from calibration.addons.coverage.sources import find_commit
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.git import Repository
 from calibration.ci.github.service import GitHubEvent
 from calibration.ci.services import event_of

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.coverage.formats import parse_gcov
 from calibration.addons.coverage.lines import Rate
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 
 def line(number: int, count: int, *branches: int, thrown: int = 0) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from calibration.addons.coverage.tests import (
     measured_environment,
     measurement,
 )
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.report.xunit_reading import Tally
 
 from .projects import TOKEN

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from calibration.addons.coverage.tests import run
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from tests.docker_engine import wait_until
 from tests.processes import runs
 

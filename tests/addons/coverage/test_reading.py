@@ -16,7 +16,7 @@ from calibration.addons.coverage.formats import MAX_BYTES
 from calibration.addons.coverage.lines import FileCoverage, Rate
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.sources import find_sources
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.git import Repository
 from tests.repositories import commit, write
 

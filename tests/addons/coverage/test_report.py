@@ -26,7 +26,7 @@ from calibration.addons.coverage.results import (
     Uploaded,
 )
 from calibration.addons.coverage.tests import Tests
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.github.service import GITHUB
 from calibration.ci.report.junit import junit_xml
 from calibration.ci.report.xunit_reading import CaseOutcome, Tally

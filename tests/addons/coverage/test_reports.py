@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.coverage.formats import parse_cobertura, parse_lcov, tracefile
 from calibration.addons.coverage.lines import FileCoverage, Rate
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.report.xunit_reading import CaseOutcome, Tally, read_test_report
 
 COBERTURA = """<?xml version="1.0" ?>

@@ -5,7 +5,7 @@ import pytest
 
 import calibration.ci.git
 from calibration.addons.coverage.sources import Sources, find_sources, language_of
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.git import Repository, is_commit
 from tests.conftest import NEEDS_ROOT
 from tests.repositories import commit, git

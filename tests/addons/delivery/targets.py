@@ -6,7 +6,7 @@ from pathlib import Path
 from calibration.addons.delivery.checking import check_bundle
 from calibration.addons.delivery.destinations import FetchedBundle
 from calibration.addons.delivery.in_use import read_in_use
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.addons.delivery.bundles import LEFT, RIGHT, SYSTEM, URDF, camera_info, messages
 from tests.addons.delivery.changed import EXPECTED, GOOD
 from tests.campaigns.target import Target

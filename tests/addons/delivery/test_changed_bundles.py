@@ -9,7 +9,7 @@ import pytest
 from calibration.addons.delivery.attestation import signed_envelope, statement_of
 from calibration.addons.delivery.checking import check_bundle
 from calibration.addons.delivery.manifest import pack_files, unpack_files
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 from .bundles import FILES, KEY, MANIFEST, NAME, OTHER_KEY, SYSTEM, packed, signed
 from .changed import EXPECTED, GOOD, HIDDEN_BYTES, HOSTILE_MEMBERS, KINDS, changed_bundle, check, with_member

@@ -18,7 +18,7 @@ from calibration.addons.delivery.in_use import (
     read_in_use,
 )
 from calibration.addons.delivery.manifest import BundledTransform
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.geometry.rotations import from_rpy, to_quaternion, to_rpy
 from calibration.robot.exports.calibrated import Calibrated
 from calibration.robot.exports.formats import FILES

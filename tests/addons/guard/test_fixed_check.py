@@ -10,7 +10,7 @@ import pytest
 from benchmarks.guard.clips import Displacement, as_recorded
 from calibration.addons.guard.fixed_check import check_fixed_camera
 from calibration.addons.guard.outcome import SensorCheck
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.labelling.detection import Image
 from tests.addons.guard.recorded import CHANGE, clip, reference
 from tests.thorough import thorough

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.addons.image_tests.results import RUN_CASE, JudgedRun, TestsOfEntry, judge_run, results_of_entry
 from calibration.addons.image_tests.settings import ImageTests
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
 from calibration.ci.report.xunit_reading import RepeatedFailure, repeated_failures
@@ -172,7 +172,7 @@ def test_a_test_that_always_fails_is_named_before_flakes(tmp_path: Path) -> None
 
 
 def test_a_command_and_a_tool_exclude_each_other() -> None:
-    from calibration.base.errors import InputError
+    from calibration.base import InputError
     from calibration.base.records import read
 
     with pytest.raises(InputError, match="arguments"):

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.addons.image_tests import results
 from calibration.addons.requirements.results import JudgedMessages
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.distribution.gathering import gather, report_of_run
 from calibration.pipeline.distribution.jobs import Cost, Needs

@@ -11,7 +11,7 @@ from calibration.addons.recorder.page import Page, beside, parsed
 from calibration.addons.recorder.preview import Preview
 from calibration.addons.recorder.recording import serving
 from calibration.addons.recorder.session import Session
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.simulation.motion.sequence import Motion, read_motion
 from calibration.robot.simulation.system import System
 from tests.addons.recorder.conftest import DATASETS

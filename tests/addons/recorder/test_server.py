@@ -10,7 +10,7 @@ from websockets.sync.client import connect
 
 from calibration.addons.recorder import recording as recorder_server
 from calibration.addons.recorder.recording import LocalServer, address, is_loopback, serving
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 
 ALL = "0.0.0.0"  # noqa: S104 (compared with, not bound to)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.recorder.session import Session, joined
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.engine.geometry.transforms import from_xyz_rpy, translation
 from calibration.robot.simulation.motion.sequence import Motion, read_motion
 from calibration.robot.simulation.system import System

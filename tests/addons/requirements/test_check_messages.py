@@ -10,7 +10,7 @@ import yaml
 from defusedxml.ElementTree import parse
 
 from calibration.__main__ import main
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.workflow import Runner
 from calibration.commands.run import RunSettings, run
 from tests.addons.requirements.messages import bag_file, drive

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.addons.requirements.hpl import MAX_DEPTH, MAX_TEXT_CHARACTERS, parse_property
 from calibration.addons.requirements.requirement import Message
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.addons.requirements.messages import MS, bag_file, battery, drive, judge, own_types, scan, twist
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
 

@@ -17,7 +17,7 @@ from calibration.addons.requirements import live
 from calibration.addons.requirements.live import RosbridgeWatch, live_watch, requirements_of_one_message
 from calibration.addons.requirements.requirement import Message
 from calibration.addons.requirements.settings import RequirementSettings
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import read
 from calibration.ci.execution.job import OUTPUT, Artifact, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, End

@@ -14,7 +14,7 @@ from calibration.addons.requirements.message_fields import (
     merged_trees,
     tree_of_path,
 )
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.importing.bags.bag import open_bag, typestore
 from tests.addons.requirements.messages import bag_file, drive, random_message
 from tests.robot.importing.bags import Kind

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from calibration.addons.requirements.hpl import parse_property
 from calibration.addons.requirements.patterns import MAX_WAITING_BYTES, HplRequirement
 from calibration.addons.requirements.requirement import Message
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.addons.requirements.naive import Pattern, Sent, Spec, When, naive_status
 from tests.addons.requirements.traces import judged, parsed_trace
 from tests.addons.requirements.truth_tables import PATTERNS_IN_SCOPES, ROWS, rows

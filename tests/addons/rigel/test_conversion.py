@@ -8,7 +8,7 @@ import yaml
 from calibration.addons.rigel.conversion import Conversion, convert
 from calibration.addons.rigel.document import read_rigelfile
 from calibration.addons.rigel.fields import variable_name
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.addons.rigel.conftest import noted, software
 
 Converted = Callable[[str], Conversion]

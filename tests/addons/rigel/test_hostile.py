@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from calibration.addons.rigel.conversion import Conversion, convert, written
 from calibration.addons.rigel.document import read_rigelfile
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 FOLDER = Path(__file__).with_name("rigelfiles")
 Converted = Callable[[str], Conversion]

@@ -10,7 +10,7 @@ import yaml
 from calibration.addons.rigel.conversion import Conversion, convert, written
 from calibration.addons.rigel.document import read_rigelfile
 from calibration.addons.rigel.robomaker import region_of
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import read
 from calibration.ci.execution.job_check import check_jobs
 from calibration.pipeline.collection.request import collection_job

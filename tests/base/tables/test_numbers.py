@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.text import number_text, parse_number
+from calibration.base import number_text, parse_number
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.tables import parse_rules
 from calibration.base.tables.rules import Allowance, ChangeRule, LimitRule, Limits, RuleSet, TextRule
 from calibration.base.tables.table import Aggregate, EveryRow, IndexedRow, LabelledRow

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.tables.rules import LimitRule, Limits, RuleSet, TextRule
 from calibration.base.tables.table import EveryRow, IndexedRow, LabelledRow
 from calibration.ci.introspection import read_rules

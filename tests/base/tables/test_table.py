@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.tables import Table, read_table
 from calibration.base.tables import table as table_module
 from calibration.base.tables.table import Row, parse_delimiter, parse_table, recognise_delimiter

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.tables import RuleSet, Table, TableResult, Violation, judge, parse_rules
 from calibration.base.tables.table import Row, parse_table
 

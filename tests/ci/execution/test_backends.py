@@ -1,6 +1,6 @@
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.backends import CONTAINER_BACKENDS, ExecutionTarget, check_backend
 from calibration.ci.execution.docker.backend import DockerBackend
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import flat_fields, read
 from calibration.base.records.schema import schema_of
 from calibration.ci.execution.job import Artifact, Container, Limits, Mount, Readiness, Relaxations, with_secrets

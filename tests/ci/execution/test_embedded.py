@@ -14,7 +14,7 @@ from typing import TypeVar
 import cv2
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.execution import embedded
 from calibration.ci.execution.embedded import Embedded
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
+from calibration.base import CalibrationError, ExitCode, InfrastructureError
 from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.execution.tasks import locked
 
 HOLDING = """

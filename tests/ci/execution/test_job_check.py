@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Mount, Readiness, Relaxations
 from calibration.ci.execution.job_check import check_job, check_jobs, start_order
 

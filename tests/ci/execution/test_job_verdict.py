@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import ExitCode
-from calibration.base.text import one_line
+from calibration.base import ExitCode, one_line
 from calibration.ci.execution.job import Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
 from calibration.ci.execution.supervision import Judge, failure_of, how_it_ended, signal_of, unmet

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.execution.log_file import LONGEST_LINE, LogFile
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
 from calibration.ci.execution.ros import (

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.job_check import check_job, start_order
 from calibration.ci.execution.ros import on_one_address, with_ros

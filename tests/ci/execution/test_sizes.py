@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.sizes import describe_bytes, parse_bytes, parse_seconds
 
 

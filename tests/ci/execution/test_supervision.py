@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode, InfrastructureError
+from calibration.base import ExitCode, InfrastructureError
 from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.job import Artifact, Container, Job, Readiness
 from calibration.ci.execution.outcome import End

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import JobOutcome

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.execution.tasks import UNFINISHED_FOLDER, Task, Workspace, identity, run_tasks, workspace
 
 

@@ -8,7 +8,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.github.comments import MAX_ROWS_OF_TABLE, MAX_TEXT_CHARACTERS, comment_text
 from calibration.ci.report.results_json import Brief, BriefTable, read_brief
 

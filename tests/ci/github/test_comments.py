@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.github.api import GitHubApi
 from calibration.ci.github.comments import MAX_COMMENT_CHARACTERS, Comments, Marker
 

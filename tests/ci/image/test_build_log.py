@@ -2,7 +2,7 @@ import io
 
 import pytest
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.build_request import (
     MAX_LAST_LINES,

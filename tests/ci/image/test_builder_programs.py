@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.image import buildkit
 from calibration.ci.image.buildkit import Program, find_buildkit, lines_of, write_login
 from calibration.ci.registries.reference import Credentials

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.image.context import FILE_TIME, NO_SOURCES, Context, Ignored, content_key, key_tag, read_ignore_file
 
 

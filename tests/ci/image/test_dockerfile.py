@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.image.dockerfile import Rendered, render
 from calibration.ci.image.specification import parse_image_specification
 

@@ -5,7 +5,7 @@ import json
 import docker
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest
 from calibration.ci.image.context import Context

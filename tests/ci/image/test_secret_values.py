@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.build_request import MAX_BYTES, read_secrets, refuse_secrets_in, secret_files
 from calibration.ci.image.specification import Secret

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest, SecretValue
 from calibration.ci.image.buildkit import Program, build_and_push, build_by_buildkit

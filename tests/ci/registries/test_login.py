@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import Credentials, RegistrySettings

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.registries.reference import Reference, check_tag, parse_reference
 
 DIGEST = "sha256:" + "0123456789abcdef" * 4

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.base.http import Timeouts
 from calibration.ci.registries.reference import Credentials
 from calibration.ci.registries.registry import MEDIA_TYPES, Manifest, RegistryClient

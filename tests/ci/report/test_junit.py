@@ -5,8 +5,7 @@ from defusedxml.ElementTree import fromstring
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import ExitCode
-from calibration.base.text import visible
+from calibration.base import ExitCode, visible
 from calibration.ci.report import Outcome
 from calibration.ci.report.junit import junit_xml
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import ExitCode, InfrastructureError
+from calibration.base import ExitCode, InfrastructureError
 from calibration.base.records import document_of
 from calibration.ci.github.service import GITHUB
 from calibration.ci.report import (

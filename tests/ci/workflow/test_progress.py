@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import MAX_LOG_LINES, progress

@@ -7,8 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
-from calibration.base.errors import InfrastructureError
-from calibration.base.text import code_block, escape_markdown, markdown_table, visible
+from calibration.base import InfrastructureError, code_block, escape_markdown, markdown_table, visible
 from calibration.ci.workflow import Runner, add_summary
 from calibration.ci.workflow.runner import MAX_SUMMARY_BYTES
 

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.text import aligned, did_you_mean, markdown_table, one_line, shorten, without_escapes
+from calibration.base import aligned, did_you_mean, markdown_table, one_line, shorten, without_escapes
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.engine.baseline.document import (
     MAX_BASELINE_BYTES,
     Baseline,

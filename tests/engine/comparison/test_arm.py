@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calibration.engine.comparison.arm as arm_module
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.comparison.arm import why_not_arm
 from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.dataset.modalities import DEPTH

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.comparison.sensor_pairs import MOST_POINTS, align, icp, why_not_icp
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.geometry import rotations

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.comparison.methods import COMPARISON_METHODS, method_of
 from tests.engine.evaluation.scene import applicable, arm, lidar_and_camera, range_pair, two_cameras
 

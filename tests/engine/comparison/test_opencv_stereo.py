@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError, UndeterminedError
+from calibration.base import InfrastructureError, InputError, UndeterminedError
 from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.comparison.sensor_pairs import opencv_stereo, why_not_stereo
 from calibration.engine.dataset.modalities import DEPTH

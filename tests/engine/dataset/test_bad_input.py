@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.engine.dataset.document import MAX_BYTES
 from calibration.engine.dataset.pointcloud import write_points
 from calibration.engine.dataset.reading import read_dataset

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import DatasetWriter, write_dataset

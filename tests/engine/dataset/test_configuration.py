@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.engine.dataset.configuration import parse_configuration, read_configuration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.reading import read_dataset

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.engine.dataset.depth_image import NO_RETURN, read_depth_image
 from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.reading import read_dataset

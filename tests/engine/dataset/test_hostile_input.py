@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.configuration import parse_configuration, read_configuration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.pointcloud import decode_pcd

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import dataset_document, write_dataset
 from calibration.engine.geometry.cameras import Camera

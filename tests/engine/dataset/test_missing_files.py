@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_dataset
 from calibration.engine.diagnosis.as_recorded import missing_files

@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.engine.dataset.modalities import LIDAR2D
 from calibration.engine.dataset.pointcloud import MAX_RAYS, decode_pcd, read_points, write_points
 from calibration.engine.dataset.reading import read_dataset

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.process import no_collector
 from calibration.engine.dataset.configuration import parse_configuration
 from calibration.engine.dataset.document import Node

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
 
 DATASET = Path(__file__).parents[3] / "datasets" / "t2rgb" / "dataset.json"

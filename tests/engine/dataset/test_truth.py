@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import Truth, find_truth, read_truth, truth_of
 from calibration.engine.geometry.transforms import from_quaternion

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.engine.dataset import writing
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset

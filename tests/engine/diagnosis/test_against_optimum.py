@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.against_optimum import OurOptimum, against_optimum, find_optimum, optimum_for
 from calibration.engine.diagnosis.finding import Finding

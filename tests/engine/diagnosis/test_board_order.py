@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.dataset.pattern import grid, tag_grid
 from calibration.engine.dataset.reading import read_dataset

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import Collection, Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.copies import check_copies, without_copies

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.modalities import RGB
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels, Sensor
 from calibration.engine.estimation.calibrate import calibrate

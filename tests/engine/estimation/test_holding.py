@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.guesses import StartingNoise

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.modalities import DEPTH, RGB
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.calibrate import Options, calibrate

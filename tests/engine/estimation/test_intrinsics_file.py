@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.intrinsics import read_intrinsics, write_intrinsics
 from tests.engine.estimation.systems import covering

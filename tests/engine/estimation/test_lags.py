@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.frames import read_velocities
 from calibration.engine.dataset.model import Dataset

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import read
 from calibration.engine.dataset.model import ESTIMATED_KEY, CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels, Labels
 from calibration.engine.estimation.least_squares.normal_equations import Weighting, assemble
 from calibration.engine.estimation.start.build import Setup, build

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.base import UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import UndeterminedError
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.least_squares.normal_equations import NormalEquations, Weighting, assemble
 from calibration.engine.estimation.least_squares.observability import (

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate, solve, solve_from_guess

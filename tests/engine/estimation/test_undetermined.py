@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import ExitCode, InputError, UndeterminedError
+from calibration.base import ExitCode, InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import Truth, read_truth

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.problem.usable_labels import MINIMUM_CORNERS, usable_labels

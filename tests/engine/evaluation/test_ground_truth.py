@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import Truth, find_truth, truth_of
 from calibration.engine.evaluation.truth import ground_truth_frame, ground_truth_transform

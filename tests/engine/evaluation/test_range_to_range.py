@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.modalities import LIDAR2D
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.evaluation import range_to_range

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, RGB
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset

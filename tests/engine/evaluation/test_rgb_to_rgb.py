@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import grid
 from calibration.engine.dataset.reading import read_dataset

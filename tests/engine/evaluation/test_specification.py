@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.modalities import RGB
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import Truth, find_truth, truth_of

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.frames import JOINT_PARAMETERS, FrameTree, JointModel, Step
 from calibration.engine.geometry.transforms import (

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import ALL_EXACT, Options

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.base.errors import CalibrationError
+from calibration.base import CalibrationError
 from calibration.base.process import Terminated, terminate_cleanly
 from calibration.ci.execution.docker import backend
 from calibration.ci.execution.docker.container_run import ContainerRun

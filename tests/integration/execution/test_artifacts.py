@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Job, Readiness
 from tests.integration.execution.jobs import run_job, run_jobs, shell
 

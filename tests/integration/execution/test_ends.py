@@ -10,7 +10,7 @@ pytest.importorskip("docker")
 
 from docker.errors import APIError, NotFound
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.container_run import attach
 from calibration.ci.execution.docker.labels import RUN_LABEL, new_run

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
 from calibration.ci.execution.docker.leftovers import find_leftovers, remove

@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.docker import container_run
 from calibration.ci.execution.job import Job, Readiness
 from calibration.ci.execution.outcome import End

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.ci.image.build_request import BuildFailedError
 from tests.ci.image.test_several_platforms import SCRIPT as SEVERAL
 from tests.docker_engine import Registry

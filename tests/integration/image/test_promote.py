@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote, push_image
 from calibration.ci.registries.reference import Credentials, RegistrySettings

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
+from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.registries.push import push_image
 from calibration.ci.registries.reference import Credentials
 from calibration.ci.registries.registry import RegistryClient

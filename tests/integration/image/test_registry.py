@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.registries.reference import Credentials
 from calibration.ci.registries.registry import Manifest, RegistryClient
 from tests.docker_engine import Registry

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.commands.collect_data_sim import command

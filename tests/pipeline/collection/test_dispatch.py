@@ -11,9 +11,7 @@ import cv2
 import jsonschema
 import pytest
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
-from calibration.base.files import write_atomically
-from calibration.base.text import escape_markdown
+from calibration.base import ExitCode, InfrastructureError, InputError, escape_markdown, write_atomically
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, CollectionRequest

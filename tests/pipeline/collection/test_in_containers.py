@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
 from calibration.pipeline.collection.dispatch import collect_dataset

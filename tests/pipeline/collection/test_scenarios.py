@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.commands.collect_data_sim import command
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import (

@@ -13,7 +13,7 @@ import pytest
 
 from calibration import __version__
 from calibration.__main__ import main
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.base.records.schema import schema_of
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.job_check import check_jobs

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.engine.estimation.options import Start
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of

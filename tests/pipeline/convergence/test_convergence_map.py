@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
 from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.system import NoiseGrid

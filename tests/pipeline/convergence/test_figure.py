@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.pipeline.convergence.convergence_map import ConvergenceResults
 from calibration.pipeline.convergence.report import MAX_MAPS, figures, report
 from calibration.pipeline.system import NoiseGrid

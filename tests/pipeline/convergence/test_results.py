@@ -10,7 +10,7 @@ from xml.etree import ElementTree as ET
 import jsonschema
 import pytest
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.base.tables.rules import parse_rules
 from calibration.base.tables.table import read_table
 from calibration.base.tables.table_verdict import judge

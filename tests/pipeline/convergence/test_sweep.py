@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.convergence import sweep

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.pipeline.distribution.gathering import NO_RESULT, Gathered
 from calibration.pipeline.distribution.gathering import gather as gather_by_needs
 from calibration.pipeline.distribution.jobs import Needs

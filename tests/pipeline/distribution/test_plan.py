@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import read
 from calibration.ci.execution.job import Container
 from calibration.ci.image.specification import ImageSpecification, parse_image_specification

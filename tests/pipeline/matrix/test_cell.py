@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.report import Report
 from calibration.engine.comparison.methods import method_of
 from calibration.engine.dataset.model import Dataset

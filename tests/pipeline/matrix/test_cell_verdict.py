@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.first_configuration import first_configuration

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix, load
 from calibration.pipeline.results import PipelineResults, clear_results, own_file, results_of

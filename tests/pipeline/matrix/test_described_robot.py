@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND, PLACE_KIND
 from calibration.engine.tasks.robot_task import RobotTask

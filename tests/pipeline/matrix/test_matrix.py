@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import ExitCode, InfrastructureError, InputError
+from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import solve

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import ExitCode, InputError
+from calibration.base import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact
 from calibration.ci.execution.outcome import ArtifactFile, JobOutcome
 from calibration.engine.dataset.model import Dataset

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
-from calibration.base.errors import CalibrationError, ExitCode, InfrastructureError
+from calibration.base import CalibrationError, ExitCode, InfrastructureError
 from calibration.ci.report import Outcome
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.cell_verdict import judge_results

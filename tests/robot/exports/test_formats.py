@@ -9,8 +9,8 @@ import pytest
 import yaml
 from defusedxml.ElementTree import fromstring
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry.lenses import Rational
 from calibration.engine.geometry.rotations import from_quaternion, from_rpy

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from defusedxml.ElementTree import fromstring
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry import rotations

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.commands.add_collections import command
 from calibration.engine.dataset.model import ESTIMATED_KEY
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.__main__ import main
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError
 from calibration.robot.importing.files.camera_files import read_lens
 from calibration.robot.importing.files.samples import Samples as PosesDescription
 from calibration.robot.importing.files.samples import read_samples

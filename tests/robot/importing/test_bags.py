@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import CalibrationError, InputError
+from calibration.base import CalibrationError, InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.geometry.transforms import distance

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import calibration.engine.estimation.covariance.lens_errors as nominal_lens_module
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.lens_uncertainty import read_uncertainty, uncertainty_document
 from calibration.engine.dataset.reading import read_dataset

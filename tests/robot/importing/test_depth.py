@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset

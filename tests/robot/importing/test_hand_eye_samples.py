@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from calibration.__main__ import main
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.dataset.model import Dataset, PoseLabels
 from calibration.engine.dataset.reading import read_dataset

@@ -19,7 +19,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode
 from rosbags.rosbag2.reader import zstd
 
 from calibration import MAX_IMAGE_PIXELS
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.robot.importing.bags.bag import open_bag
 from calibration.robot.importing.bags.messages import depth_of, image_of

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import choose_truth

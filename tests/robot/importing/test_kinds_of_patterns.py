@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from calibration.__main__ import main
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import read
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.pointcloud import read_points
 from calibration.engine.dataset.reading import read_dataset

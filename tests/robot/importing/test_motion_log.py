@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.geometry.transforms import distance, retract
 from calibration.robot.importing.bags.motion import MotionLog
 

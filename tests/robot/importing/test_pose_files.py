@@ -13,8 +13,8 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.records import read
 from calibration.engine.geometry.transforms import inverse
 from calibration.robot.importing.files.samples import Sample, Samples, read_samples

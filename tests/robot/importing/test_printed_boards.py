@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.reading import read_dataset

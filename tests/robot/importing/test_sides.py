@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from calibration.__main__ import main
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.records import read
 from calibration.engine.dataset.pattern import PlacedTag
 from calibration.engine.dataset.reading import read_dataset

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import get_types_from_msg
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.importing.bags.bag import VIDEO_TYPES, open_bag
 from calibration.robot.importing.bags.survey import NO_KEY_FRAME_YET
 from calibration.robot.importing.bags.video_packets import COMPRESSED_IMAGE, ImageReader, KeyFrames

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.robot.importing.files import confined_decoding
 from calibration.robot.importing.importing import import_data

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.aprilgrid import look
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.aprilgrid import (

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.embedded import Embedded
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.cameras import Camera

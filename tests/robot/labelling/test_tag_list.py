@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import PlacedTag

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.cameras import Camera

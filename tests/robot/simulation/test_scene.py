@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import read
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.robot.simulation.scene import GROUND_SURFACE, NO_SURFACE, Board, Box, Light, Scene

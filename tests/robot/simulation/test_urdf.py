@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Place, read_as
 from calibration.engine.geometry import transforms
 from calibration.engine.geometry.frames import JOINT_PARAMETERS

@@ -18,9 +18,7 @@ from typing import Any, ClassVar
 
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import Category, CodeFinding, Severity
-from calibration.base.errors import InfrastructureError
-from calibration.base.files import temporary_folder
-from calibration.base.text import one_line, shorten
+from calibration.base import InfrastructureError, one_line, shorten, temporary_folder
 
 MAX_OUTPUT = 200_000_000
 """Limit of a program's output in bytes."""

@@ -22,7 +22,7 @@ from calibration.addons.analysis.analysers.analyser import (
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import Category, CodeFinding, Severity
 from calibration.addons.analysis.ros.tree import line_of, parse_xml
-from calibration.base.text import did_you_mean, one_line, shorten
+from calibration.base import did_you_mean, one_line, shorten
 
 _WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
 _SEVERITY_OF_ZIZMOR_LEVEL: dict[str, Severity] = {"High": "error", "Medium": "warning"}

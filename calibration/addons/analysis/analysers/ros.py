@@ -12,7 +12,7 @@ import calibration
 from calibration.addons.analysis.analysers.analyser import Analyser, run_program
 from calibration.addons.analysis.copies import MAX_FILES, Copy
 from calibration.addons.analysis.results import CodeFinding, GraphSummary
-from calibration.base.files import temporary_folder
+from calibration.base import temporary_folder
 
 _CHECKED_FILES = re.compile(
     r"(.*/)?(package\.xml|CMakeLists\.txt|setup\.(py|cfg)|calibration\.yml|config\.yml|dataset\.json)"

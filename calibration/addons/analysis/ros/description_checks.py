@@ -15,7 +15,7 @@ from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.graph import build_graphs
 from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, join, line_of, parse_xml, without_comments
-from calibration.base.text import did_you_mean
+from calibration.base import did_you_mean
 
 _MAX_CONFIGURATION_BYTES = 50_000_000
 _FRAME_KEYS = ("link", "parent_link", "child_link", "world_link")

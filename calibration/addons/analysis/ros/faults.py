@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from calibration.addons.analysis.results import Category, CodeFinding, Severity
-from calibration.base.text import did_you_mean, one_line, shorten
+from calibration.base import did_you_mean, one_line, shorten
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from calibration.addons.analysis.ros.graph import CONNECTIONS, Endpoint, Graph, 
 from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, package_of
 from calibration.addons.analysis.ros.repository import RosRepository, is_installed
 from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, is_test_file, reachable, without_comments
-from calibration.base.text import did_you_mean
+from calibration.base import did_you_mean
 
 _SUFFIXES_READ_ONLY = (
     *(".launch", ".py", ".xml", ".yaml", ".yml", ".urdf", ".xacro", ".srdf", ".sdf", ".world", ".rviz", ".gazebo"),

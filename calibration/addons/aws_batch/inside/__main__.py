@@ -38,10 +38,16 @@ from calibration.addons.aws_batch.wire import (
     outcome_document,
     read_job,
 )
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.base.files import write_atomically, writing
+from calibration.base import (
+    CalibrationError,
+    InfrastructureError,
+    InputError,
+    one_line,
+    shorten,
+    write_atomically,
+    writing,
+)
 from calibration.base.process import terminate_cleanly
-from calibration.base.text import one_line, shorten
 from calibration.ci.execution.extraction import RefusedError, path_parts
 from calibration.ci.execution.job import OUTPUT
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End

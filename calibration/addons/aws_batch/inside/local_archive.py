@@ -8,8 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from calibration.base.errors import InfrastructureError
-from calibration.base.text import one_line, shorten
+from calibration.base import InfrastructureError, one_line, shorten
 from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT

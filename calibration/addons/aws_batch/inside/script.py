@@ -14,8 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from calibration.addons.aws_batch.wire import JOB_FOLDER
-from calibration.base.errors import InputError
-from calibration.base.files import writing
+from calibration.base import InputError, writing
 from calibration.ci.execution.job import Container, Job
 
 STOP_SIGN, START_SIGN, STATE_FOLDER = "stop", "start", "state"

@@ -13,8 +13,7 @@ from urllib.request import urlopen
 from calibration.addons.aws_batch.inside.local_archive import opener_of
 from calibration.addons.aws_batch.inside.script import GRACE_SECONDS, LOG_FILE, READY_COMMAND, READY_FILE, Signs
 from calibration.addons.aws_batch.wire import ARRIVAL_SECONDS, TaskOutcome
-from calibration.base.errors import CalibrationError, ExitCode
-from calibration.base.text import one_line
+from calibration.base import CalibrationError, ExitCode, one_line
 from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.job_check import start_order

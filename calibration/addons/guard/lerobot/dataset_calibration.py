@@ -11,10 +11,8 @@ import numpy as np
 
 from calibration.addons.guard.keeping import accepted_camera
 from calibration.addons.guard.outcome import SensorCheck
+from calibration.base import InputError, parse_json, read_bytes, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
 from calibration.base.records import Misfit, between, field, length, read, record, text_of
 from calibration.engine.baseline.calibration_document import CalibrationDocument, Name, Number, Positive, Three
 from calibration.engine.estimation.options import LensModel

@@ -29,8 +29,8 @@ from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_
 from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_motion
 from calibration.addons.guard.witness.moving_frames import LENS_SIGMAS
 from calibration.addons.guard.witness.recorded_frames import MAX_MOMENTS, MOMENT_STEP
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.baseline.document import read_baseline
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.rotations import from_quaternion, from_rpy

@@ -12,10 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InputError, parse_json, read_bytes
 from calibration.base.arrays import Array
-from calibration.base.documents import parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
 from calibration.base.optional import optional
 from calibration.robot.importing.files.confined_decoding import confined_decoding
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.optional import optional
 from calibration.robot.importing.files.confined_decoding import FRAME_HEADER, confined_decoding
 from calibration.robot.importing.videos import MAX_FRAME_PIXELS

@@ -11,8 +11,8 @@ from calibration.addons.guard.witness.checks import MIN_IMAGES, POSE_NOISE, Witn
 from calibration.addons.guard.witness.displacement import displacement_of, drift_of_poses
 from calibration.addons.guard.witness.plane_map import RANGE_SIGMAS, patches_of_scans, plane_evidence
 from calibration.addons.guard.witness.recorded_frames import Carriage, RecordedFrames, evenly_chosen
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.dataset.modalities import LIDAR3D
 from calibration.engine.geometry.transforms import inverse_adjoint

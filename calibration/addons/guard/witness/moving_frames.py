@@ -14,8 +14,8 @@ from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, ch
 from calibration.addons.guard.witness.edge_checks import CameraAndLidar, check_by_edges, stands_still
 from calibration.addons.guard.witness.map_checks import cloud_at, cloud_topics, is_of
 from calibration.addons.guard.witness.recorded_frames import RecordedFrames, evenly_chosen
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.dataset.modalities import LIDAR3D
 from calibration.engine.geometry.cameras import Camera

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.geometry.frames import FrameTree, Step
 from calibration.engine.geometry.transforms import inverse, inverse_adjoint, local

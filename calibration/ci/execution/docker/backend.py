@@ -13,7 +13,7 @@ from queue import Empty, SimpleQueue
 from types import TracebackType
 from typing import Self
 
-from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.base import CalibrationError, InfrastructureError
 from calibration.ci.docker_engine import EngineLostError, engine_errors, find_engine, find_images, lost
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.docker.job_run import Interrupted, JobRun, Run, lost_job

@@ -21,7 +21,7 @@ from docker import APIClient, DockerClient
 from docker.types import DeviceRequest, LogConfig, Mount
 from requests import Response
 
-from calibration.base.errors import CalibrationError
+from calibration.base import CalibrationError
 from calibration.ci.docker_engine import Engine, engine_errors, lost
 from calibration.ci.execution.docker.copying import exists
 from calibration.ci.execution.docker.labels import new_run

@@ -16,7 +16,7 @@ import docker.errors
 import requests
 from docker import APIClient
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.docker_engine import engine_errors
 from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.job import OUTPUT, Mount

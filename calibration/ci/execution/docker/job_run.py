@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
 
-from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.base import CalibrationError, InfrastructureError, one_line
 from calibration.base.redaction import redact
-from calibration.base.text import one_line
 from calibration.ci.docker_engine import Engine, EngineLostError, engine_errors
 from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.docker.container_run import (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 
 def new_run() -> str:

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 import docker.errors
 
-from calibration.base.errors import InfrastructureError
-from calibration.base.text import count_of
+from calibration.base import InfrastructureError, count_of
 from calibration.ci.docker_engine import connect, engine_errors, engine_message
 from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, RUN_LABEL, Owner
 

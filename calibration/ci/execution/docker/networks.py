@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import docker.errors
 from docker import APIClient
 
-from calibration.base.errors import CalibrationError, InfrastructureError
+from calibration.base import CalibrationError, InfrastructureError
 from calibration.ci.docker_engine import EngineLostError, engine_errors
 from calibration.ci.execution.docker.labels import new_run
 

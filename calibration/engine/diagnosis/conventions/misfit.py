@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError
-from calibration.base.text import rounded
+from calibration.base import CalibrationError, rounded
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
 from calibration.engine.estimation.least_squares.normal_equations import Weighting

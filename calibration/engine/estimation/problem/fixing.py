@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import BoolArray
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.problem.blocks import Block, Pose
 from calibration.engine.estimation.residuals.views import ViewGroup

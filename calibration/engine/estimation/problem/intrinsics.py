@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import write_atomically
 from calibration.engine.dataset.document import Node, read_json
 from calibration.engine.dataset.lens_uncertainty import read_covariance, read_parameters
 from calibration.engine.dataset.model import CornerLabels, Dataset

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import IntArray
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels, PoseLabels
 from calibration.engine.estimation.residuals.planar_pose import determines_pose
 

@@ -6,8 +6,8 @@ from functools import cached_property
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, Labels, PointLabels, PoseLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.options import Options

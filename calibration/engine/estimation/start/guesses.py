@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.base import solvable
 from calibration.base.arrays import Array
-from calibration.base.errors import solvable
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.estimation.least_squares.minimisation import Termination, minimise, settle
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels

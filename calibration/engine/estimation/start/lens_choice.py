@@ -13,8 +13,8 @@ from typing import cast
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.least_squares.minimisation import Termination

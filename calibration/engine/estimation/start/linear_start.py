@@ -23,8 +23,8 @@ from itertools import combinations
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.estimation.problem.blocks import Pose, Values
 from calibration.engine.estimation.residuals.planar_pose import mean_pose
 from calibration.engine.estimation.residuals.ray_residuals import RangeTerm

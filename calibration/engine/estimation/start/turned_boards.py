@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern
 from calibration.engine.estimation.start.single_views import corner_term

@@ -17,8 +17,8 @@ from itertools import combinations
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, STILL_TOLERANCE

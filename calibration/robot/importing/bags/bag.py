@@ -17,9 +17,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from calibration.base.documents import read_yaml
-from calibration.base.errors import CalibrationError, InfrastructureError, InputError
-from calibration.base.files import read_bytes, temporary_folder
+from calibration.base import CalibrationError, InfrastructureError, InputError, read_bytes, read_yaml, temporary_folder
 from calibration.base.optional import optional
 from calibration.engine.dataset.document import Node
 from calibration.robot.importing.bags.unpacking import (

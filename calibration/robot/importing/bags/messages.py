@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import MAX_IMAGE_PIXELS
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, decode_png
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.edges import MAX_FRAME_DISTANCE_M, QUATERNION_TOLERANCE

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.estimation.start.single_views import corner_term, fitted_poses, refined_poses

@@ -13,9 +13,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from calibration.base import InputError, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import write_atomically
 from calibration.engine.dataset.configuration import Configuration
 from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node

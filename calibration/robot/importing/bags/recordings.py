@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError, read_bytes, write_atomically
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes, write_atomically
 from calibration.base.records import field, read, result
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration

@@ -6,7 +6,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.modalities import DEPTH, LIDAR3D, MODALITIES, RGB, Modality
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.importing.bags.bag import (

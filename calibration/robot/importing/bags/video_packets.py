@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.optional import optional
 from calibration.robot.importing.bags.bag import NS_PER_S, VIDEO_TYPES, Bag, RawMessage
 from calibration.robot.importing.bags.messages import NO_VIDEO, image_of

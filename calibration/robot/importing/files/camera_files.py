@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import Configuration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.lens_uncertainty import LensUncertainty

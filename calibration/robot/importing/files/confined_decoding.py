@@ -13,8 +13,7 @@ from pathlib import Path
 from struct import Struct
 from typing import IO, Any
 
-from calibration.base.errors import InputError
-from calibration.base.text import one_line, shorten
+from calibration.base import InputError, one_line, shorten
 
 MAX_STALLED_SECONDS = 60
 """s: limit of the time between two parts of what is decoded."""

@@ -10,8 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from calibration.base.errors import InputError
-from calibration.base.files import matching, read_bytes
+from calibration.base import InputError, read_bytes
+from calibration.base.files import matching
 
 IMAGE_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 """Endings of image files, in lower case."""

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from calibration.base import InputError, read_bytes
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
-from calibration.base.files import matching, read_bytes
+from calibration.base.files import matching
 from calibration.engine.dataset.document import Node
 from calibration.robot.importing.files.pictures import MAX_CSV, MOST_IMAGES
 from calibration.robot.importing.files.pose_form import QUATERNION_CONVENTIONS, PoseForm

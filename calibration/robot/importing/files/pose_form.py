@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.records import Converted, Place, excludes, field, length, record
 from calibration.engine.dataset.edges import MAX_FRAME_DISTANCE_M, QUATERNION_TOLERANCE
 from calibration.engine.geometry import rotations

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.base.records import field, record
 from calibration.engine.dataset.document import Node
 from calibration.engine.geometry.transforms import inverse

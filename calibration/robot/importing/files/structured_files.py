@@ -14,9 +14,8 @@ import defusedxml
 import numpy as np
 from defusedxml.ElementTree import fromstring
 
-from calibration.base.documents import MAX_BYTES, RepeatedKeyError, parse_json
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, RepeatedKeyError, parse_json, read_bytes
+from calibration.base.documents import MAX_BYTES
 from calibration.base.yaml_loading import parse_yaml
 from calibration.engine.dataset.document import Node
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from calibration.base.documents import read_yaml
+from calibration.base import read_yaml
 from calibration.engine.dataset.configuration import (
     APRILGRID_TAGS,
     MAX_CORNERS,

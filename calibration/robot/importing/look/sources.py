@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.importing.bags.bag import BAG_ENDINGS, open_bag
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.description import VIDEO_ENDINGS, ImportDescription, SensorDescription, is_video

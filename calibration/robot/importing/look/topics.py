@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import Edge
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
 from calibration.robot.importing.bags.messages import frame_of

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import MAX_IMAGE_PIXELS
-from calibration.base.errors import InputError
-from calibration.base.files import read_bytes
+from calibration.base import InputError, read_bytes
 from calibration.base.records import field, result
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image

@@ -10,8 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import CIRCLE_KINDS, UNMARKED_KINDS, PatternKind, PlacedTag

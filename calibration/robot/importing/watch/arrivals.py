@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from glob import has_magic, iglob
 from pathlib import Path
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.importing.files.pictures import IMAGE_ENDINGS
 
 FileState = tuple[int, int]

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calibration.base.errors import InputError
-from calibration.base.files import write_atomically
+from calibration.base import InputError, write_atomically
 from calibration.ci.execution.tasks import run_tasks
 from calibration.engine.dataset.modalities import RGB
 from calibration.robot.importing.bags.bag import BAG_ENDINGS, NS_PER_S, Bag, open_bag

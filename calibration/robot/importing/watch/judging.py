@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import Pattern

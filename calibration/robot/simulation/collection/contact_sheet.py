@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from calibration.base.files import write_atomically
+from calibration.base import write_atomically
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.collection.record import Record
 from calibration.robot.simulation.sensors.camera import encode_image

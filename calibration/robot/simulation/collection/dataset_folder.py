@@ -13,8 +13,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from calibration.base.errors import InfrastructureError, InputError
-from calibration.base.files import link_or_copy, temporary_folder, write_atomically
+from calibration.base import InfrastructureError, InputError, link_or_copy, temporary_folder, write_atomically
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.configuration import SensorConfiguration
 from calibration.engine.dataset.model import Edge

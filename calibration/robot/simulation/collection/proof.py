@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from calibration.base.errors import CalibrationError
+from calibration.base import CalibrationError
 from calibration.base.records import field, result
 from calibration.engine.baseline.comparison import MOST_FREEDOM, squared_mahalanobis
 from calibration.engine.dataset.model import Dataset

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError, UndeterminedError
 from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern
 from calibration.engine.estimation.least_squares.observability import choose
 from calibration.engine.geometry import rotations

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import SensorConfiguration
 from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Collection, Dataset, Joint, Labels, Sensor

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.errors import InputError
 from calibration.base.records import Misfit, Place, field, length, matching, needs, read_as, record, unknown_key
 from calibration.engine.dataset.document import read_json
 from calibration.engine.dataset.edges import QUATERNION_TOLERANCE

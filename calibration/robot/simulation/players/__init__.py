@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 
 if TYPE_CHECKING:
     from calibration.robot.simulation.motion.sequence import Motion

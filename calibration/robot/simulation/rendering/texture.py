@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import Pattern
 from calibration.robot.labelling.aprilgrid import cell_ends, tag_cells

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.base.errors import InputError
-from calibration.base.files import temporary_folder
+from calibration.base import InputError, temporary_folder
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document

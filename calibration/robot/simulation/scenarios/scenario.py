@@ -10,9 +10,8 @@ from typing import Annotated
 import numpy as np
 
 from calibration import __version__
-from calibration.base.errors import InputError
+from calibration.base import InputError, one_line, shorten
 from calibration.base.records import Converted, Place, between, field, length, matching, record
-from calibration.base.text import one_line, shorten
 from calibration.robot.simulation.motion.sequence import Motion, motion_document
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.system import System

@@ -38,8 +38,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from calibration.base.documents import read_yaml
-from calibration.base.errors import InputError
+from calibration.base import InputError, read_yaml, shorten
 from calibration.base.records import (
     Misfit,
     Place,
@@ -53,7 +52,6 @@ from calibration.base.records import (
     record,
     unknown_key,
 )
-from calibration.base.text import shorten
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.robot.simulation.scenarios.distributions import Distribution, Drawn, drawn
 from calibration.robot.simulation.scenarios.scenario import Scenario

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.base.errors import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, transform

@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError
 from calibration.base.records import Converted, Misfit, between, excludes, field, one_of, record
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.modalities import RGB, Modality, NoiseKind

@@ -7,8 +7,8 @@ from typing import Annotated, Any, ClassVar
 import cv2
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
-from calibration.base.errors import InputError
 from calibration.base.records import between, field, record
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, read_depth_image

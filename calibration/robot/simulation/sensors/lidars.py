@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
+from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.errors import InputError
 from calibration.base.records import Constraint, Converted, Misfit, between, excludes, field, needs, one_of, record
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.modalities import LIDAR2D, LIDAR3D, Modality, NoiseKind

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from calibration.addons.aws_batch.inside.local_archive import opener_of
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.execution.artifacts import Glob, NothingThereError
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.ci.execution.job import OUTPUT

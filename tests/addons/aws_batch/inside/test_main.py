@@ -19,7 +19,7 @@ pytest.importorskip("boto3")
 from calibration.addons.aws_batch.inside.__main__ import ContainerTask, Places, main, send_files
 from calibration.addons.aws_batch.inside.script import Signs, script_of
 from calibration.addons.aws_batch.wire import Input, Location, TaskOutcome, job_entry, jobs_document, read_outcome
-from calibration.base.errors import ExitCode, InfrastructureError
+from calibration.base import ExitCode, InfrastructureError
 from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job
 from calibration.ci.execution.outcome import ArtifactFile, End

@@ -9,7 +9,7 @@ import pytest
 from calibration.addons.aws_batch.inside import watch as watching
 from calibration.addons.aws_batch.inside.script import BEAT_FILE, Signs
 from calibration.addons.aws_batch.inside.watch import METADATA_VARIABLE, Watch, WatchTimeouts, ended_neighbours
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import Container, Job
 
 

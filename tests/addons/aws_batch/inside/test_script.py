@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.addons.aws_batch.inside.script import BEAT_FILE, READY_COMMAND, READY_FILE, Signs, script_of
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.job import Container, Job, Readiness
 from tests.docker_engine import wait_until
 from tests.properties import at_most

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.aws_batch.inside.script import BEAT_FILE, ENDED_FILE, LOG_FILE, PIPE_FILE, Signs
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.ci.execution.job import Container, Job
 
 JOB = Job("j", (Container("a", "i"),))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact
 from tests.addons.aws_batch import client
 from tests.addons.aws_batch.fixtures import Aws

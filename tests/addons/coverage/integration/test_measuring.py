@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.addons.coverage.lines import FileCoverage, Rate
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.ci.report.xunit_reading import Tally
 from tests.addons.coverage.projects import NAMING, TOKEN
 from tests.repositories import commit, git, write

@@ -4,7 +4,7 @@ import pytest
 
 from calibration.addons.delivery.artifact import RegistryRepository
 from calibration.addons.delivery.destinations import Delivery
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.registries.reference import Credentials, parse_reference
 from calibration.ci.registries.registry import RegistryClient
 from tests.addons.delivery.bundles import MANIFEST, packed, signed

@@ -19,7 +19,7 @@ from calibration.addons.guard.lerobot.dataset_check import card_table, check_dat
 from calibration.addons.guard.lerobot.episodes import INFO, episodes_of, is_dataset
 from calibration.addons.guard.lerobot.frames import frames_at
 from calibration.addons.guard.outcome import Placement, SensorCheck
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from tests.addons.guard.lerobot.tiny_datasets import COUNT, KEY, RATE, frames, write_dataset, write_droid
 from tests.addons.guard.witness.moving_bag import CAMERA, accepted_cameras
 from tests.thorough import thorough

@@ -7,7 +7,7 @@ import pytest
 
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.addons.image_tests.test_image import run_image_tests
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.base.records import read
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.report import Report

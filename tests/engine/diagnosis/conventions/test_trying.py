@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calibration.base import CalibrationError
 from calibration.base.arrays import Array
-from calibration.base.errors import CalibrationError
 from calibration.engine.dataset.modalities import POSE
 from calibration.engine.dataset.model import Collection, Dataset, PoseLabels, Sensor
 from calibration.engine.diagnosis.conventions.changed import (

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.robot.labelling.detection import NotDetected

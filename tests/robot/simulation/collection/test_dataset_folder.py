@@ -4,7 +4,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from calibration.base.errors import InfrastructureError, InputError
+from calibration.base import InfrastructureError, InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import find_truth
 from calibration.robot.simulation.collection import dataset_folder

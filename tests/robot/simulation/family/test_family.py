@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import UndeterminedError
+from calibration.base import UndeterminedError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.truth import find_truth, truth_of
 from calibration.engine.estimation.calibrate import calibrate

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.robot.simulation.motion.generation import (

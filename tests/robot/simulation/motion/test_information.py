@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError, UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import CornerLabels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.robot.simulation.motion.sequence import (

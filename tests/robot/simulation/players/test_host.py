@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.simulation.motion.sequence import Motion, moving_joints, moving_model
 from calibration.robot.simulation.players import check_motion, player_file
 

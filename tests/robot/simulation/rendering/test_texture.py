@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.simulation.rendering.texture import (
     INK_REFLECTANCE,
     MAX_TEXELS,

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.base.records import Place, read_as
 from calibration.robot.simulation.scenarios.distributions import (
     Choice,

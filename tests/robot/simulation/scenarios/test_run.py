@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.ci.execution.embedded import single_threaded_opencv
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.estimation.options import ALL_EXACT

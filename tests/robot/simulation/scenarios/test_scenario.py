@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.simulation.motion.sequence import read_motion
 from calibration.robot.simulation.scenarios import scenario as module
 from calibration.robot.simulation.scenarios.scenario import Scenario, content_hash, parse_id, scenario_id

@@ -2,7 +2,7 @@ import random
 
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.simulation.scenarios.scenario_set import CLEARANCE_KEY, read_scenario_set
 from calibration.robot.simulation.scenarios.world import build_world, clearance
 from calibration.robot.simulation.system import System

@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 import yaml
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.robot.simulation.scenarios import scenario_set
 from tests.robot.simulation.conftest import DATASETS
 from tests.robot.simulation.scenarios.conftest import ReadSet

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.base.errors import InfrastructureError
+from calibration.base import InfrastructureError
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.statistics import (
     LEAST_SCENARIOS,

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.base.errors import InputError
+from calibration.base import InputError
 from calibration.engine.geometry.lenses import Equidistant
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local
 from calibration.robot.simulation.motion.generation import filling_distances

@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("docker")
 
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import OUTPUT, Artifact, Readiness
 from tests.addons.aws_batch.integration.inside.tasks import run_task
 from tests.integration.execution.jobs import shell

@@ -11,7 +11,7 @@ from calibration.addons.aws_batch.inside.__main__ import prepare
 from calibration.addons.aws_batch.inside.script import Signs
 from calibration.addons.aws_batch.inside.watch import Watch, WatchTimeouts
 from calibration.addons.aws_batch.wire import TaskJob
-from calibration.base.errors import ExitCode
+from calibration.base import ExitCode
 from calibration.ci.execution.job import OUTPUT, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
 from tests.addons.aws_batch.integration.inside.tasks import NONE, run_task, started
