@@ -49,6 +49,13 @@ def samples_of(folder: Path, described: Mapping[str, Any], in_hand: bool = True)
     return read_samples(read(Samples, described, "import.yml: samples", folder), in_hand)
 
 
+def pair(arm: Array, seen: Array) -> dict[str, Any]:
+    return {
+        name: {"position": T[:3, 3].tolist(), "orientation": quaternion(T)}
+        for name, T in (("arm", arm), ("board", seen))
+    }
+
+
 @dataclass(frozen=True)
 class Form:
     """A way of writing `ARM`, and `SEEN` where it has pairs."""
@@ -232,6 +239,22 @@ FORMS: dict[str, Form] = {
         {"file": "f.yaml"},
         pairs=True,
     ),
+    "a list below other keys": Form(
+        lambda at: (at / "f.yaml").write_text(
+            yaml.safe_dump(
+                {"collected": {"total": 5, "samples": [pair(*each) for each in zip(ARM, SEEN, strict=True)]}}
+            )
+        ),
+        {"file": "f.yaml", "key": "arm", "pattern": {"key": "board"}},
+        pairs=True,
+    ),
+    "numbered objects": Form(
+        lambda at: (at / "f.json").write_text(
+            json.dumps({f"pose_{i}": pair(ARM[i], SEEN[i]) for i in (3, 0, 4, 1, 2)})
+        ),
+        {"file": "f.json", "key": "arm", "pattern": {"key": "board"}},
+        pairs=True,
+    ),
     "ViSP": Form(vectors, {"file": "pose_rPe_*.yaml", "rotation": "rotvec"}),
     "industrial_calibration": Form(cal_data, {"file": "cal_data.yaml"}),
 }
@@ -267,7 +290,7 @@ ROW = "0.1,0.2,0.3,0,0,0,1\n"
         ("f.csv", f"{ROW}1,2,x,0,0,0,1\n", {}, r"f.csv:2: found 'x' as number 3, expected a finite number"),
         ("f.csv", "a,b\n1,2\n", {}, r"f.csv:2: missing column 'x', expected x, y, z, qx, qy, qz, qw; .*'columns'"),
         ("f.json", '{"a": [1], "b": [2]}', {}, r"found the keys a, b, expected a pose.*'key'"),
-        ("f.json", '{"a": [1], "b": [2]}', {"key": "arm"}, r"f.json: found no poses 'arm'"),
+        ("f.json", '{"a": [1], "b": [2]}', {"key": "arm"}, r"f.json: found no poses 'arm', but the keys a, b"),
         ("f.json", "[[1, 2", {}, r"f.json: line 1, column 7: not JSON"),
         ("f.json", json.dumps([np.diag([1, 1, -1, 1]).ravel().tolist()]), {}, r"f.json: 0: found no rigid transform"),
         ("f.xml", '<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>', {}, r"f.xml: this is not valid XML"),

@@ -33,24 +33,29 @@ def rotations_that_agree(branches: Array, measured: Array) -> tuple[Array, float
         in rad at most.
     """
     N, b = branches.shape[:2]
-    there = np.isfinite(branches[..., 0, 0])
-    flat = np.nan_to_num(branches).reshape(N * b, 9)
-    wanted = measured.reshape(N, 9) @ measured.reshape(N, 9).T
-    first = [each for each in range(min(COLLECTIONS_TAKEN_AS_KNOWN, N) * b) if there.flat[each]]
-    known = np.abs((flat @ flat[first].T).reshape(N, b, -1) - wanted[:, None, [each // b for each in first]])
-    chosen = np.where(there[..., None], known, np.inf).argmin(1)  # (N, starts)
     some = np.unique(np.linspace(0, N - 1, min(N, MAX_COLLECTIONS_COMPARED)).round().astype(int))
-    every = some[:, None]
+    there = np.isfinite(branches[..., 0, 0])
+    flat = np.nan_to_num(branches).reshape(N, b, 9)
+    traces = measured.reshape(N, 9) @ measured[some].reshape(-1, 9).T  # (N, some)
+    first = [(i, branch) for i in range(min(COLLECTIONS_TAKEN_AS_KNOWN, len(some))) for branch in range(b)]
+    starts = np.array([(i, branch) for i, branch in first if there[some[i], branch]])
+    known = flat[some[starts[:, 0]], starts[:, 1]]
+    off = np.abs(flat[some] @ known.T - traces[some][:, None, starts[:, 0]])
+    chosen = np.where(there[some][..., None], off, np.inf).argmin(1)  # (some, starts)
+
+    def chosen_beside(others: IntArray, start: int) -> IntArray:
+        """Return the branch of each of others with which it agrees best with those chosen from a start."""
+        now = flat[some, chosen[:, start]]  # (some, 9)
+        off = np.abs(flat[others] @ now.T - traces[others][:, None]).mean(-1)
+        return np.asarray(np.where(there[others], off, np.inf).argmin(1))
+
     for _ in range(MAX_ROUNDS if b > 1 else 0):
-        now = flat.reshape(N, b, 9)[every, chosen[some]]  # (some, starts, 9)
-        off = (flat @ now.reshape(-1, 9).T).reshape(N, b, len(some), -1).swapaxes(2, 3)
-        off = np.abs(off - wanted[:, None, None, some])
-        chosen = np.where(there[..., None], off.mean(-1), np.inf).argmin(1)
-    now = flat.reshape(N, b, 9)[every, chosen[some]]
+        chosen = np.stack([chosen_beside(some, start) for start in range(len(starts))], 1)
+    now = flat[some[:, None], chosen].swapaxes(0, 1)  # (starts, some, 9)
     pairs = np.triu_indices(len(some), 1)
-    apart = np.median(np.abs(now.swapaxes(0, 1) @ now.transpose(1, 2, 0) - wanted[np.ix_(some, some)])[:, *pairs], -1)
+    apart = np.median(np.abs(now @ now.swapaxes(1, 2) - traces[some])[:, *pairs], -1)
     best = int(apart.argmin())
-    return branches[np.arange(N), chosen[:, best]], float(apart[best])
+    return branches[np.arange(N), chosen_beside(np.arange(N), best)], float(apart[best])
 
 
 def disagreement_of_each(R: Array, measured: Array) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.base import InputError, read_bytes
+from calibration.base import InputError, read_bytes, shorten
 from calibration.base.arrays import Array
 from calibration.base.files import matching
 from calibration.engine.dataset.document import Node
@@ -282,12 +282,32 @@ def _structured_entries(root: Node, names: Sequence[str]) -> Iterator[Node]:
     if names:
         found = next((each for name in names if (each := list(_poses_of_name(root, name)))), None)
         if found is None:
-            raise _NoSuchKeyError(f"{root.file}: found no poses '{names[0]}'")
+            keys = f", but the keys {shorten(', '.join(map(str, root.value)))}" if isinstance(root.value, dict) else ""
+            raise _NoSuchKeyError(f"{root.file}: found no poses '{names[0]}'{keys}")
         yield from found
     elif isinstance(root.value, dict) and (key := next((each for each in _LIST_KEYS if each in root.value), None)):
         yield from _poses_in_list(root if _is_matrix(root) else root[key])
     else:
         yield from _poses_in_list(_only_array(root) or root)
+
+
+def _entries(node: Node) -> Iterator[Node]:
+    """Yield the elements of a list, or of an object with numbered keys (``pose_7``), in the order of the numbers."""
+    if isinstance(node.value, list):
+        yield from node.elements()
+    elif isinstance(node.value, dict):
+        objects = [(key, value) for key, value in node.items() if isinstance(value.value, dict)]
+        numbers = [int(found[1]) for key, _ in objects if (found := re.fullmatch(r"\D*(\d{1,9})", key))]
+        if len(numbers) == len(objects) > 1:
+            yield from (objects[i][1] for i in np.argsort(numbers, kind="stable"))
+
+
+def _inner_list(node: Node) -> Node | None:
+    """Return where an object's poses are: at its key of a list of them, or at its only object or list."""
+    if key := next((each for each in _LIST_KEYS if each in node.value), None):
+        return node[key]
+    inner = [value for _, value in node.items() if isinstance(value.value, list | dict)]
+    return inner[0] if len(inner) == 1 else None
 
 
 def _only_array(root: Node) -> Node | None:
@@ -300,9 +320,9 @@ def _only_array(root: Node) -> Node | None:
 
 def _poses_of_name(node: Node, name: str) -> Iterator[Node]:
     """Yield the poses of a name: in an object, numbered in it, or in each element of its list."""
-    if isinstance(node.value, list):
-        found = [list(_poses_of_name(element, name)) for element in node.elements()]
-        for element, poses in zip(node.elements(), found, strict=True):
+    if entries := list(_entries(node)):
+        found = [list(_poses_of_name(element, name)) for element in entries]
+        for element, poses in zip(entries, found, strict=True):
             if not poses and any(found):
                 raise element.fault(f"missing key '{name}'")
             yield from poses
@@ -320,8 +340,8 @@ def _poses_of_name(node: Node, name: str) -> Iterator[Node]:
         yield from (node[key] for _, key in numbered)
     elif f"{name}_rvec" in node.value:
         yield Node(node.file, (*node.keys, name), {key: node[f"{name}_{key}"].value for key in ("rvec", "tvec")})
-    elif key := next((each for each in _LIST_KEYS if each in node.value), None):
-        yield from _poses_of_name(node[key], name)
+    elif inner := _inner_list(node):
+        yield from _poses_of_name(inner, name)
 
 
 def _poses_in_list(node: Node, image: Node | None = None) -> Iterator[Node]:

@@ -1,5 +1,7 @@
 """The numbers of a rotation, read by another convention and had back."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -82,3 +84,15 @@ def test_a_branch_is_chosen_though_most_are_of_the_other() -> None:
     chosen, apart = rotations_that_agree(branches, some(1, 3)[0] @ R)
     assert apart < 1e-9
     assert min(np.abs(chosen - R).max(), np.abs(chosen - other).max()) < 1e-9
+
+
+def test_the_memory_does_not_grow_with_the_square_of_the_branches() -> None:
+    R = some(600)
+    branches = np.stack([rotations.exp(np.array([0.0, 0.0, angle])) @ R for angle in np.linspace(0, 6, 60)], 1)
+    tracemalloc.start()
+    chosen, apart = rotations_that_agree(branches, some(1, 3)[0] @ R)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert apart < 1e-9
+    assert peak < 20 * branches.nbytes
+    assert np.abs(chosen @ np.swapaxes(R, 1, 2) - chosen[0] @ R[0].T).max() < 1e-9
