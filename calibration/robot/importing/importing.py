@@ -570,7 +570,9 @@ def _at_samples(
         if len(described.sensors) > 1:
             raise InputError(f"{named[0].where}: names one image, expected none where there are several sensors")
         sensor = described.sensors[0].name
-        return [Moment(each.where, {sensor: each.image}) for each in named if each.image], named, ()
+        in_folder = {file.name: file for each in pictures for file in each.files}
+        files = [(each.where, _image_of_sample(each.image, in_folder)) for each in named if each.image]
+        return [Moment(where, {sensor: file}) for where, file in files], named, ()
     if not pictures:
         raise InputError(f"{samples[0].where}: found no image, expected one, or a sensor with a folder: images")
     moments = moments_of(pictures, described.pairs)
@@ -583,6 +585,11 @@ def _at_samples(
             "samples"
         )
     return moments, list(samples), ()
+
+
+def _image_of_sample(named: Path, in_folder: Mapping[str, Path]) -> Path:
+    """Return the image that a table of poses names: beside it, or in the folder of the sensor's images."""
+    return in_folder.get(named.name, named) if not named.is_file() else named
 
 
 def _tree_of_frames(configuration: Configuration, arm: Mapping[Edge, Array], count: int) -> dict[Edge, Array]:

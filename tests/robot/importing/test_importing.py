@@ -207,6 +207,31 @@ def test_images_and_files_of_poses_belong_together_by_their_numbers(tmp_path: Pa
     np.testing.assert_allclose(found, poses[[0, 1, 3, 5, 6]], atol=1e-9)
 
 
+def test_a_table_without_a_head_names_images_of_the_folder(tmp_path: Path) -> None:
+    riwbot = read_dataset(DATASETS / "riwbot")
+    poses = riwbot.transform("base_link", "flange")[:5]
+    (tmp_path / "images").mkdir()
+    lines = []
+    for key, pose in zip(riwbot.keys, poses, strict=False):
+        (tmp_path / "images" / f"{key}.jpg").symlink_to((DATASETS / "riwbot" / f"rgb_world_{key}.jpg").resolve())
+        numbers = [*pose[:3, 3].tolist(), *to_quaternion(pose[:3, :3]).tolist()]
+        lines.insert(0, ", ".join([f"{key}.jpg", *map(repr, numbers)]))
+    (tmp_path / "poses.txt").write_text("\n".join(lines))
+    board = {**BOARD, "columns": 7, "rows": 7, "square": 0.02, "marker": 0.015, "dictionary": "DICT_4X4_100"}
+    description = {
+        "sensors": {"camera": {"images": "images", "parent": "base_link"}},
+        "patterns": {"board": {**board, "parent": "tool0"}},
+        "samples": {"file": "poses.txt"},
+    }
+    (tmp_path / "import.yml").write_text(json.dumps(description))
+    assert import_data(tmp_path / "import.yml", tmp_path / "out", jobs=1).collections == 5
+    found = read_dataset(tmp_path / "out")
+    np.testing.assert_allclose(found.transforms["base_link", "tool0"], poses[::-1], atol=1e-9)
+    (tmp_path / "poses.txt").write_text("\n".join(["missing.jpg, 0, 0, 0, 0, 0, 0, 1", *lines]))
+    with pytest.raises(InputError, match=r"missing\.jpg"):
+        import_data(tmp_path / "import.yml", tmp_path / "again", jobs=1)
+
+
 def test_the_photographs_of_a_real_arm(shared_data: Path, tmp_path: Path) -> None:
     """16 of 16 images are labelled, and the optimum is the known one: 2.64 px without the lens's distortion."""
     data = shared_data / "real-arm"

@@ -179,6 +179,10 @@ FORMS: dict[str, Form] = {
         {"file": "f.npz", "key": "arm", "pattern": {"key": "board"}},
         pairs=True,
     ),
+    "a comment in GBK": Form(
+        lambda at: (at / "f.txt").write_bytes("# 格式\n".encode("gbk") + lines(rows(ARM, quaternion)).encode()),
+        {"file": "f.txt"},
+    ),
     "an array of poses": Form(lambda at: np.save(at / "f.npy", ARM), {"file": "f.npy"}),
     "by its columns": Form(
         lambda at: (at / "f.json").write_text(json.dumps([T.T.ravel().tolist() for T in ARM])), {"file": "f.json"}
@@ -295,6 +299,7 @@ ROW = "0.1,0.2,0.3,0,0,0,1\n"
         ("f.json", json.dumps([np.diag([1, 1, -1, 1]).ravel().tolist()]), {}, r"f.json: 0: found no rigid transform"),
         ("f.xml", '<!DOCTYPE x [<!ENTITY a "b">]><x>&a;</x>', {}, r"f.xml: this is not valid XML"),
         ("f.xml", "<a>" * 60 + "</a>" * 60, {}, r"f.xml: found more than 50 elements inside"),
+        ("f.csv", "a\0b", {}, r"f.csv: this is no CSV file: found a zero byte"),
         ("f.npy", "not numpy", {}, r"f.npy: these are no arrays of numbers"),
         ("f.toml", "a = ", {}, r"f.toml: this is not valid TOML"),
         ("f.csv", ROW, {"pattern": {}}, r"f.csv: found no poses of the pattern, expected some.*'file' or 'key'"),

@@ -2,8 +2,16 @@
 
 from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.conventions.arm_hypotheses import joints, other_rotations, robot_poses, scales
+from calibration.engine.diagnosis.conventions.arm_hypotheses import (
+    FEWEST_POSES,
+    joints,
+    other_rotations,
+    robot_poses,
+    scales,
+)
 from calibration.engine.diagnosis.conventions.misfit import Hypothesis, Misfit, improved, misfit, misfit_at
 from calibration.engine.diagnosis.conventions.recording import Recording
 from calibration.engine.diagnosis.conventions.sensor_hypotheses import (
@@ -16,6 +24,8 @@ from calibration.engine.diagnosis.conventions.sensor_hypotheses import (
 from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.turned_boards import trace_differences
+from calibration.engine.geometry.rotations import angle
 
 Hypotheses = Callable[[Recording], Iterator[Hypothesis]]
 
@@ -51,6 +61,8 @@ KINDS_THAT_CAST_DOUBT: tuple[FindingKind, ...] = ("contradiction",)
 """Findings, red or not, on which other conventions are tried;"""
 KINDS_WITHOUT_DOUBT: tuple[FindingKind, ...] = ("precision", "too-few")
 """and red ones on which they are not: all may fit."""
+MIN_DIFFERENCE_OF_OTHER_IMAGES = 0.5
+"""Median difference of traces of an arm's rotations and of the pattern's, above which they are of different moments."""
 MAX_NAMED_CONVENTIONS = 3
 """Number of conventions that fit alike that a message names."""
 
@@ -71,7 +83,7 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
         recording, SLOW_HYPOTHESES, options, now
     )
     if not fitting:
-        return ()
+        return _poses_of_other_images(recording)
     best = min(found.noticed for _, found in fitting)
     alike = [each for each in fitting if each[1].noticed <= MAX_RATIO_TO_BEST * best]
     told = [h.told_apart(found) if h.told_apart else (h.name, h.remedy) for h, found in alike]
@@ -80,6 +92,26 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
     remedies = "; or ".join(dict.fromkeys(remedy for _, remedy in told))
     text = f"with {names}, the labels fit: {alike[0][1].text} (as they are: {now.text}); {remedies}"
     return (Finding("convention", "red", text, sensors),)
+
+
+def _poses_of_other_images(recording: Recording) -> tuple[Finding, ...]:
+    """Report an arm that turns by other angles than the pattern that it, or its camera, moves: by no mounting."""
+    arm, view = recording.arm, recording.view
+    if arm is None or view is None or len(view.collections) < FEWEST_POSES:
+        return ()
+    turned = recording.dataset.transforms[arm][view.collections][:, :3, :3]
+    off = trace_differences(turned, view.seen[:, :3, :3])
+    if np.median(off) < MIN_DIFFERENCE_OF_OTHER_IMAGES:
+        return ()
+    pair = np.unravel_index(off.argmax(), off.shape)
+    by_arm, by_pattern = (np.degrees(angle(R[pair[0]].T @ R[pair[1]])) for R in (turned, view.seen[:, :3, :3]))
+    first, second = (recording.dataset.collections[view.collections[i]].key for i in sorted(pair))
+    text = (
+        f"poses and images do not belong together: between collections {first} and {second} the robot turns by "
+        f"{by_arm:.0f} deg, '{view.pattern}' as '{view.sensor}' sees it by {by_pattern:.0f} deg, and no convention or "
+        "mounting makes these angles equal; does each pose stand with its own image, of this arm and this camera?"
+    )
+    return (Finding("convention", "red", text, (view.sensor,), (first, second)),)
 
 
 def doubts(calibration: Calibration, found: tuple[Finding, ...]) -> bool:

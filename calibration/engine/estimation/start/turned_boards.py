@@ -58,10 +58,15 @@ def rotations_that_agree(branches: Array, measured: Array) -> tuple[Array, float
     return branches[np.arange(N), chosen_beside(np.arange(N), best)], float(apart[best])
 
 
+def trace_differences(R: Array, measured: Array) -> Array:
+    """Return how far the traces of all pairs of rotations are from those of measured ones: (N, N), of (N, 3, 3)."""
+    flat, known = R.reshape(-1, 9), measured.reshape(-1, 9)
+    return np.asarray(np.abs(flat @ flat.T - known @ known.T))
+
+
 def disagreement_of_each(R: Array, measured: Array) -> Array:
     """Return the median difference (N,) of each rotation's traces from those of measured ones, both (N, 3, 3)."""
-    flat, known = R.reshape(-1, 9), measured.reshape(-1, 9)
-    return np.asarray(np.median(np.abs(flat @ flat.T - known @ known.T), -1))
+    return np.asarray(np.median(trace_differences(R, measured), -1))
 
 
 MIN_VIEWS = 4

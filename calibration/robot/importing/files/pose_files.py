@@ -15,7 +15,7 @@ from calibration.base import InputError, read_bytes, shorten
 from calibration.base.arrays import Array
 from calibration.base.files import matching
 from calibration.engine.dataset.document import Node
-from calibration.robot.importing.files.pictures import MAX_CSV, MOST_IMAGES
+from calibration.robot.importing.files.pictures import IMAGE_ENDINGS, MAX_CSV, MOST_IMAGES
 from calibration.robot.importing.files.pose_form import QUATERNION_CONVENTIONS, PoseForm
 from calibration.robot.importing.files.structured_files import is_number, read_structured
 
@@ -30,6 +30,10 @@ ANGLE_NAMES = ("rx", "ry", "rz")
 MATRIX_NAMES = tuple(f"r{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3))
 ROTATION_NAMES = (QUATERNION_NAMES, ANGLE_NAMES, MATRIX_NAMES)
 """Names of the numbers of a rotation."""
+COLUMNS_BESIDE_AN_IMAGE = {
+    4 + len(rotation): ("image", *POSITION_NAMES, *rotation) for rotation in (ANGLE_NAMES, QUATERNION_NAMES)
+}
+"""Columns of a table without a row of names, by their number, where the first is an image."""
 _OTHER_NAMES = {
     **{
         f"{prefix}{axis}": axis
@@ -180,6 +184,8 @@ def _table_entries(table: PoseTable, form: PoseForm, names: Sequence[str]) -> It
         raise _NoSuchKeyError(f"{path}:{line}: found no names of columns, expected '{names[0]}'")
     elif all(are_numbers):
         yield from _unnamed_rows(path, rows)
+    elif Path(first[0]).suffix.lower() in IMAGE_ENDINGS and len(first) in COLUMNS_BESIDE_AN_IMAGE:
+        yield from _named_rows(path, COLUMNS_BESIDE_AN_IMAGE[len(first)], rows, names)
     else:
         raise InputError(
             f"{path}:{line}: found '{first[0]}' beside numbers, expected a row of names; or add 'columns' to 'samples' "
@@ -190,10 +196,9 @@ def _table_entries(table: PoseTable, form: PoseForm, names: Sequence[str]) -> It
 def _table_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a table that have cells, and their lines; without brackets and a semicolon at the end."""
     content = read_bytes(path, MAX_CSV, "a CSV file of poses")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: this is no CSV file: {error}") from None
+    if b"\0" in content:
+        raise InputError(f"{path}: this is no CSV file: found a zero byte")
+    text = content.decode("utf-8-sig", "replace")  # a comment may be in any encoding
     lines = [line.strip().strip("[];") for line in text.splitlines()]
     first = next((line for line in lines if line and not line.startswith("#")), "")
     delimiter = next((each for each in ",;\t" if each in first), None)

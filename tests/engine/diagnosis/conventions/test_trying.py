@@ -132,6 +132,13 @@ def test_poses_of_an_arm_by_another_convention(name: str, mistake: str) -> None:
     assert "px (as they are: " in said
 
 
+def test_poses_of_other_images_are_told_by_the_angles_by_which_they_turn() -> None:
+    other = rotations.exp(np.random.default_rng(1).normal(size=(14, 3)))
+    [found] = conventions(None, with_poses(arm(), rotated(lambda R: other), "eye_to_hand"), ROUGH)
+    assert found.text.startswith("poses and images do not belong together: between collections ")
+    assert len(found.collections) == 2
+
+
 @pytest.mark.parametrize("by", [1, thorough(-2)])
 def test_images_and_poses_of_neighbouring_collections(by: int) -> None:
     later = f"{abs(by)} collection{'s' * (abs(by) > 1)} {'earlier' if by > 0 else 'later'}"
