@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.guard.clips import Room, drawn_texture
 from benchmarks.guard.moving_clips import CAMERA, taken
 from benchmarks.guard.room import Rectangle, draw, fan_of_rays, ranges_to
-from calibration.addons.guard.witness.edge_checks import CameraAndLidar
+from calibration.addons.guard.witness.depth_edges import CameraAndLidar
 from calibration.base.arrays import Array
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, retract
 

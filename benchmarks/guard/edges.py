@@ -9,7 +9,7 @@ from benchmarks.guard.edge_scenes import RigInRoom
 from benchmarks.guard.witnessed import direction
 from benchmarks.rows import Bar, Row
 from calibration.addons.guard.outcome import SensorCheck
-from calibration.addons.guard.witness.edge_checks import check_by_edges
+from calibration.addons.guard.witness.depth_edges import check_by_edges
 
 MOMENTS = 20
 TURNS_DEG = (0.3, 0.5, 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.guard.moving_clips import HandMotion
 from benchmarks.guard.room import Rectangle, box, fan_of_rays, ranges_to
-from calibration.addons.guard.witness.map_checks import MovingLidar
+from calibration.addons.guard.witness.plane_map import MovingLidar
 from calibration.addons.guard.witness.recorded_frames import Carriage
 from calibration.base.arrays import Array
 from calibration.engine.geometry.rotations import exp

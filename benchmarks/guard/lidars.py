@@ -11,7 +11,7 @@ from benchmarks.guard.lidar_scenes import ScannedRoom
 from benchmarks.guard.witnessed import direction
 from benchmarks.rows import Bar, Row
 from calibration.addons.guard.outcome import SensorCheck
-from calibration.addons.guard.witness.map_checks import check_by_map
+from calibration.addons.guard.witness.plane_map import check_by_map
 
 CARRIED: Mapping[str, Mapping[str, Any]] = {
     "arm": {"metres": 0.4, "pose_noise": (2e-4, 3e-4)},

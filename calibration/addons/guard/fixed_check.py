@@ -6,11 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from calibration.addons.guard.features import find_features, sharpness_at
+from calibration.addons.guard.features import KeptCamera, find_features, sharpness_at
 from calibration.addons.guard.fixed_camera import FixedCamera, Level, View
 from calibration.addons.guard.outcome import Placement, SensorCheck, direction_in_words, smallest_seen
 from calibration.addons.guard.recording import CameraImages
-from calibration.addons.guard.reference import KeptCamera
 from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.baseline.comparison import MAD_TO_SIGMA, change_points, noise_of

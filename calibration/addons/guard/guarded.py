@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from calibration.addons.guard.features import REFERENCE_FILE, KeptCamera, read_reference
 from calibration.addons.guard.fixed_check import METHOD, check_fixed_camera
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.recording import (
@@ -14,9 +15,8 @@ from calibration.addons.guard.recording import (
     open_recordings,
     path_of_recording,
 )
-from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, read_reference
-from calibration.addons.guard.witness.map_checks import map_checks_of_bag
 from calibration.addons.guard.witness.moving_frames import checks_of_bag
+from calibration.addons.guard.witness.plane_map import map_checks_of_bag
 from calibration.base import InputError, did_you_mean
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.document import read_baseline

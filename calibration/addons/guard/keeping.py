@@ -7,16 +7,17 @@ from typing import cast
 
 import numpy as np
 
-from calibration.addons.guard.features import sharpness_at, stable_features
-from calibration.addons.guard.fixed_check import check_fixed_camera
-from calibration.addons.guard.recording import CameraImages, camera_named, no_such_camera, open_recordings
-from calibration.addons.guard.reference import (
+from calibration.addons.guard.features import (
     REFERENCE_FILE,
     KeptCamera,
     Reference,
     encoded_features,
     read_reference,
+    sharpness_at,
+    stable_features,
 )
+from calibration.addons.guard.fixed_check import check_fixed_camera
+from calibration.addons.guard.recording import CameraImages, camera_named, no_such_camera, open_recordings
 from calibration.base import InputError
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.dataset.reading import read_dataset

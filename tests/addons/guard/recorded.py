@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from benchmarks.guard.clips import FOCAL_PX, Clip, Displacement, Disturbances, Room, as_recorded
+from calibration.addons.guard.features import REFERENCE_FILE, KeptCamera, Reference
 from calibration.addons.guard.keeping import kept_camera
-from calibration.addons.guard.reference import REFERENCE_FILE, KeptCamera, Reference
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.labelling.detection import Image
 

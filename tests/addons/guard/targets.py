@@ -4,16 +4,16 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from calibration.addons.guard.lerobot.dataset_calibration import (
+from calibration.addons.guard.features import REFERENCE_FILE, Reference, read_reference
+from calibration.addons.guard.lerobot_check import (
     DatasetCalibration,
     camera_of_dataset,
     read_dataset_calibration,
 )
-from calibration.addons.guard.lerobot.episodes import INFO, episodes_of
-from calibration.addons.guard.reference import REFERENCE_FILE, Reference, read_reference
+from calibration.addons.guard.lerobot_episodes import INFO, episodes_of
 from calibration.base.records import text_of
-from tests.addons.guard.lerobot.tiny_datasets import KEY, info_of_dataset
 from tests.addons.guard.recorded import reference
+from tests.addons.guard.tiny_datasets import KEY, info_of_dataset
 from tests.addons.guard.witness.moving_bag import CAMERA, accepted_cameras
 from tests.campaigns.target import Target
 

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.guard.clips import Displacement
 from calibration.__main__ import main
-from calibration.addons.guard.reference import REFERENCE_FILE, read_reference
+from calibration.addons.guard.features import REFERENCE_FILE, read_reference
 from calibration.base import InputError
 from tests.addons.guard.recorded import CHANGE, accepted_in, clip, folder_of_images
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile

@@ -11,8 +11,8 @@ from calibration.addons.guard.features import find_features
 from calibration.addons.guard.keeping import accepted_camera
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_each_other, check_by_motion
-from calibration.addons.guard.witness.edge_checks import CameraAndLidar, check_by_edges, stands_still
-from calibration.addons.guard.witness.map_checks import cloud_at, cloud_topics, is_of
+from calibration.addons.guard.witness.depth_edges import CameraAndLidar, check_by_edges, stands_still
+from calibration.addons.guard.witness.plane_map import cloud_at, cloud_topics, is_of
 from calibration.addons.guard.witness.recorded_frames import RecordedFrames, evenly_chosen
 from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray

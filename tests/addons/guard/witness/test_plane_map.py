@@ -10,7 +10,7 @@ import pytest
 from benchmarks.guard.lidar_scenes import NOT_MOVED, T_LINK_LIDAR, ScannedRoom
 from benchmarks.guard.lidars import room_of
 from calibration.__main__ import main
-from calibration.addons.guard.witness.map_checks import check_by_map, map_checks_of_bag
+from calibration.addons.guard.witness.plane_map import check_by_map, map_checks_of_bag
 from calibration.base.arrays import Array
 from calibration.engine.baseline.document import Baseline, write_baseline
 from tests.addons.guard.witness.moving_bag import accepted_mounts

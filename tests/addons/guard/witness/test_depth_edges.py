@@ -9,8 +9,7 @@ import pytest
 
 from benchmarks.guard.edge_scenes import T_LIDAR_CAMERA, RigInRoom
 from calibration.addons.guard.outcome import SensorCheck
-from calibration.addons.guard.witness.depth_edges import depth_edges
-from calibration.addons.guard.witness.edge_checks import check_by_edges
+from calibration.addons.guard.witness.depth_edges import check_by_edges, depth_edges
 from calibration.addons.guard.witness.moving_frames import checks_of_bag
 from calibration.base.arrays import Array
 from tests.addons.guard.witness.moving_bag import accepted_mounts

@@ -7,20 +7,20 @@ import numpy as np
 import pytest
 
 from calibration.__main__ import main
-from calibration.addons.guard.lerobot.dataset_calibration import (
-    FILE,
+from calibration.addons.guard.lerobot_check import (
+    CALIBRATION_FILE,
     DatasetCalibration,
     DatasetCamera,
     camera_of_dataset,
+    card_table,
+    check_dataset,
     read_dataset_calibration,
     write_dataset_calibration,
 )
-from calibration.addons.guard.lerobot.dataset_check import card_table, check_dataset
-from calibration.addons.guard.lerobot.episodes import INFO, episodes_of, is_dataset
-from calibration.addons.guard.lerobot.frames import frames_at
+from calibration.addons.guard.lerobot_episodes import INFO, episodes_of, frames_at, is_dataset
 from calibration.addons.guard.outcome import Placement, SensorCheck
 from calibration.base import InputError
-from tests.addons.guard.lerobot.tiny_datasets import COUNT, KEY, RATE, frames, write_dataset, write_droid
+from tests.addons.guard.tiny_datasets import COUNT, KEY, RATE, frames, write_dataset, write_droid
 from tests.addons.guard.witness.moving_bag import CAMERA, accepted_cameras
 from tests.thorough import thorough
 
@@ -36,7 +36,7 @@ def test_each_episode_has_an_answer(version: str, tmp_path: Path) -> None:
     assert [each["outcome"] for (each,) in found.values()] == ["unmoved", "moved"]
     assert found["episode 000001"][0]["since"] == pytest.approx(COUNT / RATE / 2, abs=1.0)
     assert f"| {KEY} | episode 000001 | moved |" in (tmp_path / "card.md").read_text()
-    assert read_dataset_calibration(folder / FILE).episodes["episode 000001"] == {KEY: "moved"}
+    assert read_dataset_calibration(folder / CALIBRATION_FILE).episodes["episode 000001"] == {KEY: "moved"}
 
 
 def test_the_table_has_a_row_for_episodes_of_one_outcome() -> None:
@@ -87,7 +87,7 @@ def test_what_is_accepted_is_written_and_read_again(tmp_path: Path) -> None:
     camera = camera_of_dataset("hand", CAMERA, accepted_cameras(), pose_column="hand")
     assert isinstance(camera, DatasetCamera)
     write_dataset_calibration(folder, DatasetCalibration(1, {KEY: camera}), {})
-    again = read_dataset_calibration(folder / FILE).cameras[KEY]
+    again = read_dataset_calibration(folder / CALIBRATION_FILE).cameras[KEY]
     assert again == camera
     assert again.T_parent_camera == pytest.approx(accepted_cameras().poses[0].matrix)
     assert again.camera == CAMERA
@@ -114,7 +114,7 @@ def test_metadata_that_is_wrong_is_named(key: str, value: object, place: str, tm
 
 def read_all(folder: Path) -> None:
     """Read each file of a dataset."""
-    read_dataset_calibration(folder / FILE)
+    read_dataset_calibration(folder / CALIBRATION_FILE)
     for episode in episodes_of(folder, 10):
         episode.column("timestamp")
         list(frames_at(episode.videos[KEY].path, [0.0]))
@@ -126,7 +126,7 @@ def read_all(folder: Path) -> None:
         Path("data/chunk-000/episode_000000.parquet"),
         Path("meta/episodes.jsonl"),
         Path(f"videos/chunk-000/{KEY}/episode_000000.mp4"),
-        FILE,
+        CALIBRATION_FILE,
     ],
 )
 def test_files_that_are_none_are_named(broken: Path, tmp_path: Path) -> None:
