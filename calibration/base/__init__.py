@@ -2,7 +2,7 @@
 
 This page hands out what most modules need: errors, text, files and documents. The rest is imported from its module.
 
-- ``errors``: exceptions for users, and exit codes; ``text``, ``redaction``: text for messages, secrets in them;
+- ``errors``: exceptions for users, and exit codes; ``text``: text for messages, secrets in them;
 - ``files``, ``process``: the operating system;
 - ``documents``, ``http``: untrusted documents read in bounds;
 - ``records``: documents declared once, with their reading, writing and JSON Schemas;

@@ -1,20 +1,24 @@
-"""Untrusted documents: YAML and JSON read in bounds, and environment variables in them."""
+"""Untrusted documents: YAML, JSON and XML read in bounds, and environment variables in them."""
 
+import io
 import json
 import math
 import os
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
+from xml.etree.ElementTree import Element
 
 from calibration.base.errors import CalibrationError, InputError
 from calibration.base.files import read_bytes
-from calibration.base.text import shorten
+from calibration.base.text import one_line, shorten
 
 MAX_BYTES = 1024 * 1024
 """Size limit of a YAML file; parsing a larger one would take minutes."""
+MAX_ELEMENT_DEPTH = 100
+"""Limit of nested elements; the supported formats need ten."""
 
 
 def read_yaml(path: Path | str, what: str) -> object:
@@ -115,3 +119,28 @@ def with_variables(value: object, where: str, environment: Mapping[str, str] | N
     if isinstance(value, dict):
         return {key: with_variables(item, f"{where}.{key}", variables) for key, item in value.items()}
     return value
+
+
+def xml_elements(data: bytes, name: str) -> Iterator[tuple[str, Element]]:
+    """Yield ``("start" | "end", element)`` in the order of the document; an element that ended may be cleared.
+
+    Raises:
+        InputError: it is not XML, declares entities, or is nested too deeply.
+    """
+    # Only readers of reports need it, and introspect-csv is installed without it.
+    from defusedxml import DefusedXmlException
+    from defusedxml.ElementTree import ParseError, iterparse
+
+    depth = 0
+    try:
+        for event, element in iterparse(io.BytesIO(data), ("start", "end")):
+            depth += 1 if event == "start" else -1
+            if depth > MAX_ELEMENT_DEPTH:
+                raise InputError(
+                    f"{name}: its elements are nested more than {MAX_ELEMENT_DEPTH} deep, the limit of a report"
+                )
+            yield event, element
+    except DefusedXmlException:
+        raise InputError(f"{name}: the XML declares entities, which are not allowed, for safety") from None
+    except (ParseError, ValueError, LookupError) as error:  # the last two: unknown encoding
+        raise InputError(f"{name}: this is not valid XML: {shorten(one_line(str(error)), 200)}") from None

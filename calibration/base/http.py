@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urljoin, urlsplit
 
 from calibration.base.errors import InfrastructureError, innermost_message
-from calibration.base.redaction import redact
-from calibration.base.text import count_of, one_line, shorten
+from calibration.base.text import count_of, one_line, redact, shorten
 
 if TYPE_CHECKING:
     import requests

@@ -1,8 +1,8 @@
 """The CI services that are known."""
 
-from calibration.ci.forgejo.service import FORGEJO
+from calibration.ci.forgejo import FORGEJO
 from calibration.ci.github.service import GITHUB
-from calibration.ci.gitlab.service import GITLAB
+from calibration.ci.gitlab import GITLAB
 from calibration.ci.workflow.runner import TERMINAL, Environment, Event, Terminal
 
 SERVICES: list[Terminal] = [GITLAB, FORGEJO, GITHUB]

@@ -9,8 +9,8 @@ from calibration.base import write_atomically
 from calibration.ci.execution.embedded import cores
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.report import Lines, Outcome, Report, Text, results_text
-from calibration.ci.report.badge import BADGE_FILE as BADGE
-from calibration.ci.report.badge import verdict_badge
+from calibration.ci.report.blocks import BADGE_FILE as BADGE
+from calibration.ci.report.blocks import verdict_badge
 from calibration.pipeline import report_blocks
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_file

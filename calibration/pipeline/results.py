@@ -10,7 +10,7 @@ from calibration.base import CalibrationError, ExitCode, InputError, exit_code_o
 from calibration.base.addons import import_attribute, of_addons
 from calibration.base.records import computed, field, result, with_fields
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
-from calibration.ci.report.badge import BADGE_FILE as BADGE
+from calibration.ci.report.blocks import BADGE_FILE as BADGE
 from calibration.ci.report.junit import ErrorCode
 from calibration.ci.report.results_json import BRIEF_FILE, StageResult
 from calibration.engine.baseline.document import BaselineUpdate

@@ -8,7 +8,7 @@ import pytest
 
 from calibration.__main__ import main
 from calibration.ci.execution.docker.labels import JOB_LABEL, RUN_LABEL, Owner, new_run
-from calibration.ci.execution.docker.leftovers import Leftover, find_leftovers, remove
+from calibration.ci.execution.docker.run_objects import Leftover, find_leftovers, remove
 
 if TYPE_CHECKING:
     from docker import DockerClient

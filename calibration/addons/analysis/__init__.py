@@ -4,8 +4,7 @@ Knows nothing of calibration, and runs nothing of what it analyses.
 
 - ``settings``: options, limits of the number of findings, accepted findings;
 - ``copies``: the tracked files, and those of an earlier commit, as folders without links; new findings between them;
-- ``analysers``: the external programs and our own checks, and their output as findings;
-- ``metrics``: complexity, duplicates and a grade;
+- ``analysers``: the external programs and our own checks, their output as findings, and the metrics of code;
 - ``results``, ``report``: the output formats, SARIF among them;
 - ``static_analysis``: the command, the stage analyse of a pipeline, and what they do.
 """

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import quote, unquote
 
+from calibration.addons.analysis.analysers.code import BADGE_FILE, grade_badge
 from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosGraph
 from calibration.addons.analysis.copies import Compared, Located
-from calibration.addons.analysis.metrics import BADGE_FILE, grade_badge
 from calibration.addons.analysis.results import (
     CATEGORIES,
     SEVERITIES,

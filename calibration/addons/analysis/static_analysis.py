@@ -16,6 +16,7 @@ import click
 
 from calibration.addons.analysis.analysers import ANALYSERS, Analyser
 from calibration.addons.analysis.analysers.analyser import ProgramFailedError
+from calibration.addons.analysis.analysers.code import BADGE_FILE, CodeMetrics, measure
 from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosChecks, RosGraph, read_graph
 from calibration.addons.analysis.copies import (
     Compared,
@@ -27,7 +28,6 @@ from calibration.addons.analysis.copies import (
     copied,
     with_content,
 )
-from calibration.addons.analysis.metrics import BADGE_FILE, CodeMetrics, measure
 from calibration.addons.analysis.report import SARIF_FILE, TITLE, compare_with_earlier, read_earlier, report, sarif
 from calibration.addons.analysis.results import Analysed, AnalysisResults, CodeFinding, Tool
 from calibration.addons.analysis.settings import (

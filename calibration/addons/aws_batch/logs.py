@@ -14,10 +14,9 @@ from calibration.addons.aws_batch.following import Description
 from calibration.addons.aws_batch.session import Aws, AwsLostError, aws_errors, error_code
 from calibration.addons.aws_batch.wire import PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base import CalibrationError
-from calibration.base.redaction import redact
+from calibration.base.text import redact
 from calibration.ci.execution.job import Job
-from calibration.ci.execution.log_file import MOST_BYTES, LogFile
-from calibration.ci.workflow.streams import LogDisplay, LogStream
+from calibration.ci.workflow.streams import MOST_BYTES, LogDisplay, LogFile, LogStream
 
 _POLL_SECONDS = 2.0
 """Interval of polls of shown logs, seconds: CloudWatch allows about ten requests a second."""

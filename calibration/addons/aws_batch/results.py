@@ -21,7 +21,7 @@ from calibration.addons.aws_batch.wire import (
     read_outcome,
 )
 from calibration.base import CalibrationError, ExitCode, InfrastructureError, one_line, shorten, write_atomically
-from calibration.base.redaction import redact
+from calibration.base.text import redact
 from calibration.ci.execution.artifacts import complete_or_not_at_all
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import (

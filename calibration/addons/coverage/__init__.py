@@ -3,9 +3,8 @@
 Independent of calibration.
 
 - ``coverage_upload``: the command;
-- ``lines``: covered lines, branches and functions of a file;
 - ``tests``: the test command and its outcome; ``coverage_py``: coverage.py in the team's own Python, and its data;
-- ``formats``: reports of other tools (Cobertura, LCOV, gcov);
+- ``formats``: covered lines, branches and functions of a file, and reports of them (Cobertura, LCOV, gcov);
 - ``sources``, ``reading``: the commit, the files and functions that coverage is of, and their coverage;
 - ``codacy``: the service that receives it;
 - ``pseudo_tested``, ``workers``: functions that tests run and do not test;

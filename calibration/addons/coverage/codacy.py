@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import NoReturn
 from urllib.parse import quote, urlsplit
 
-from calibration.addons.coverage.lines import FileCoverage
+from calibration.addons.coverage.formats import FileCoverage
 from calibration.addons.coverage.sources import language_of
 from calibration.base import InfrastructureError, InputError, count_of, shorten
 from calibration.base.http import Answer, Http, is_loopback

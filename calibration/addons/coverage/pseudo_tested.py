@@ -33,8 +33,8 @@ from calibration.addons.coverage.workers import (
 )
 from calibration.base import InfrastructureError, InputError, one_line, read_bytes, shorten, temporary_folder
 from calibration.base.records import computed, field, result
-from calibration.ci.execution.log_file import LogFile
 from calibration.ci.workflow.runner import Runner
+from calibration.ci.workflow.streams import LogFile
 
 LOG_FILE = "pseudo-tested.log"
 PLAN_FILE = "plan.json"

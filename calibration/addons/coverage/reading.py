@@ -14,11 +14,12 @@ from calibration.addons.coverage.formats import (
     GCOV_START,
     MAX_BYTES,
     CoverageReport,
+    FileCoverage,
+    combined,
     parse_cobertura,
     parse_gcov,
     parse_lcov,
 )
-from calibration.addons.coverage.lines import FileCoverage, combined
 from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, functions_of, language_of
 from calibration.base import InputError, read_bytes
 from calibration.base.records import field, result

@@ -5,14 +5,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from calibration.addons.coverage.formats import tracefile
-from calibration.addons.coverage.lines import Rate
+from calibration.addons.coverage.formats import Rate, tracefile
 from calibration.addons.coverage.pseudo_tested import PseudoTestedResults
 from calibration.addons.coverage.reading import UncountedFile
 from calibration.addons.coverage.results import CoverageResults
 from calibration.base import ExitCode, one_line, shorten
 from calibration.ci.report import Lines, Outcome, Report, Table, count_of, outcome_of_check, verdict_of
-from calibration.ci.report.badge import BAD, FAIR, GOOD, NONE, drawn_badge
+from calibration.ci.report.blocks import BAD, FAIR, GOOD, NONE, drawn_badge
 from calibration.ci.workflow.runner import Annotation, Level
 
 TITLE = "coverage-upload"

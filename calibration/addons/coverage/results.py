@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Literal
 
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import FileCoverage, Rate
 from calibration.addons.coverage.pseudo_tested import OVER_BUDGET, PseudoTestedResults
 from calibration.addons.coverage.reading import Found, UncountedFile
 from calibration.addons.coverage.tests import Tests

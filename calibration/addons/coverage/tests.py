@@ -21,10 +21,9 @@ from calibration.addons.coverage.formats import MAX_BYTES
 from calibration.base import InfrastructureError, InputError, one_line, read_bytes, shorten
 from calibration.base.process import has_ended, started
 from calibration.base.records import computed, field, result
-from calibration.ci.execution.log_file import LogFile
-from calibration.ci.report.xunit_reading import Tally, read_test_report
+from calibration.ci.report.junit import Tally, read_test_report
 from calibration.ci.workflow.runner import Runner
-from calibration.ci.workflow.streams import LogDisplay
+from calibration.ci.workflow.streams import LogDisplay, LogFile
 
 _PYTEST_NAMES = ("pytest", "py.test")
 _PYTHON_NAMES = ("python3", "python")

@@ -30,7 +30,7 @@ from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.ci.git import Repository
 from calibration.ci.image.specification import Recipe
 from calibration.ci.report import FILES, Report, publish, remove_results
-from calibration.ci.report.xunit_reading import RepeatedFailure, repeated_failures
+from calibration.ci.report.junit import RepeatedFailure, repeated_failures
 from calibration.ci.workflow import Runner, annotate
 from calibration.ci.workflow.streams import LogDisplay, progress
 from calibration.commands.parameters import given, record_options

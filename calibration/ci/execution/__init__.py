@@ -6,5 +6,5 @@
 - ``job``, ``outcome``: a job of containers, and its result; ``sizes``, ``job_check``: parsing and validation of a job's
   description; ``ros``: what ROS needs beside its containers;
 - ``supervision``: a job's containers from the first start to the verdict; ``artifacts``, ``extraction``: copying their
-  artifacts; ``log_file``: their logs.
+  artifacts; their logs are in `ci.workflow.streams`.
 """

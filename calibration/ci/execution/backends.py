@@ -87,7 +87,7 @@ DOCKER = "docker"
 BACKEND_KINDS: Mapping[str, BackendKind] = {
     DOCKER: BackendKind(
         "calibration.ci.execution.docker.backend:open_docker",
-        "calibration.ci.execution.docker.leftovers:EngineLeftovers",
+        "calibration.ci.execution.docker.run_objects:EngineLeftovers",
     ),
     **of_addons(lambda addon: addon.backends),
 }

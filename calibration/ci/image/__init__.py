@@ -4,6 +4,6 @@
 - ``dockerfile``, ``repositories``: conversion to a Dockerfile;
 - ``context``, ``plan``: input of the build, and its hash;
 - ``building``: search by the hash, build, and push;
-- ``build_request``, ``buildkit``, ``engine_builder``: BuildKit, and the engine's classic builder. Login, push and
+- ``build_request``, ``builders``: BuildKit, and the engine's classic builder. Login, push and
   promotion are in `ci.registries`.
 """

@@ -22,7 +22,7 @@ from calibration.base import (
     temporary_folder,
     without_escapes,
 )
-from calibration.base.redaction import redact
+from calibration.base.text import redact
 from calibration.ci.image.context import Context
 from calibration.ci.image.specification import Secret
 from calibration.ci.workflow import Runner, add_mask

@@ -13,9 +13,8 @@ from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.base.records import computed, field, result
 from calibration.ci.docker_engine import connect, engine_errors
 from calibration.ci.image.build_request import BuildLog, BuildRequest, SecretValue, read_secrets, refuse_secrets_in
-from calibration.ci.image.buildkit import Program, build_and_push, build_by_buildkit, find_buildkit
+from calibration.ci.image.builders import Program, build_and_push, build_by_buildkit, build_by_engine, find_buildkit
 from calibration.ci.image.context import KEY_LABEL, build_labels, key_tag
-from calibration.ci.image.engine_builder import build_by_engine
 from calibration.ci.image.plan import Base, Plan, fetch, local_image, make_plan
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 from calibration.ci.registries.login import registry_login

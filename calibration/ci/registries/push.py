@@ -9,7 +9,7 @@ import docker.errors
 import requests
 
 from calibration.base import CalibrationError, InfrastructureError, InputError, one_line, shorten
-from calibration.base.redaction import redact
+from calibration.base.text import redact
 from calibration.ci.registries.reference import Credentials, Reference, check_tag, is_digest, parse_reference
 from calibration.ci.registries.registry import Manifest, RegistryClient, denied
 from calibration.ci.workflow import Runner

@@ -1,16 +1,21 @@
-"""Blocks of a report: texts, lists, code and tables, each formatted for the log and as Markdown."""
+"""Blocks of a report (texts, lists, code, tables), each formatted for the log and as Markdown; and its badge as SVG."""
 
 import csv
 import io
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Literal
 
 from calibration.base import aligned, code_block, escape_markdown, markdown_table, one_line
+from calibration.base.verdict import Verdict
 
 MOST_LINES = 1000
 """Default limit of lines or rows of a block; files of results contain all."""
+BADGE_FILE = "badge.svg"
+GOOD, FAIR, BAD, NONE = "#3a7d1e", "#946200", "#b3261e", "#6b6b6b"
+"""Dark enough for white text (contrast ratio at least 4.5)."""
 
 
 def cut(lines: Sequence[str], most: int, rest: str) -> tuple[str, ...]:
@@ -146,3 +151,27 @@ def shown(value: float | None, form: str, unit: str = "", empty: str = "-") -> s
     if value is None:
         return empty
     return f"{value:{form}} {unit}" if unit else format(value, form)
+
+
+def drawn_badge(label: str, text: str, colour: str) -> str:
+    """Return a badge as SVG: a label, and a text on a coloured background."""
+    left, right = _text_width(label), _text_width(text)
+    whole, label, text = left + right, escape(label), escape(text)
+    return f"""<svg xmlns="http://www.w3.org/2000/svg" width="{whole}" height="20" role="img">
+<title>{label}: {text}</title>
+<clipPath id="r"><rect width="{whole}" height="20" rx="3"/></clipPath>
+<g clip-path="url(#r)"><rect width="{left}" height="20" fill="#444"/>
+<rect x="{left}" width="{right}" height="20" fill="{colour}"/></g>
+<g fill="#fff" text-anchor="middle" font-family="Verdana,DejaVu Sans,sans-serif" font-size="11">
+<text x="{left / 2:g}" y="14">{label}</text><text x="{left + right / 2:g}" y="14">{text}</text></g>
+</svg>
+"""
+
+
+def verdict_badge(verdict: Verdict) -> str:
+    """Return the badge of a calibration's verdict as SVG: green for pass, amber for undecided, red for fail."""
+    return drawn_badge("calibration", verdict, {"pass": GOOD, "undecided": FAIR, "fail": BAD}[verdict])
+
+
+def _text_width(text: str) -> int:
+    return 10 + 7 * len(text)

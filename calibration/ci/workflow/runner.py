@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Protocol, TextIO, TypeAlias
 
 from calibration.base import InfrastructureError, InputError, brief, one_line, writing
-from calibration.base.redaction import derived_forms
+from calibration.base.text import derived_forms
 
 
 class Level(enum.StrEnum):
@@ -347,7 +347,7 @@ def report_error(runner: Runner, message: str) -> None:
 def add_mask(runner: Runner, secret: str) -> None:
     """Mask a secret in the service's log, in every form in which it may be printed.
 
-    Call it before any other output. On a terminal it does nothing: use `calibration.base.redaction.redact`.
+    Call it before any other output. On a terminal it does nothing: use `calibration.base.text.redact`.
     """
     runner.service.mask(runner, derived_forms(secret))
 

@@ -9,8 +9,8 @@ from typing import Any
 from calibration.base import CalibrationError, ExitCode, InputError, brief, one_line, records
 from calibration.base.records import result
 from calibration.ci.report import RESULTS_FILE, Lines, Report, Text, Verdict, reasons_in, verdict_of
-from calibration.ci.report.badge import BADGE_FILE as BADGE
-from calibration.ci.report.badge import verdict_badge
+from calibration.ci.report.blocks import BADGE_FILE as BADGE
+from calibration.ci.report.blocks import verdict_badge
 from calibration.ci.report.results_json import BRIEF_FILE, Brief, StageResult, read_brief
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, STAGE_OF_JOB, JobCell, WorkflowPlan

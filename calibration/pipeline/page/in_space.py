@@ -7,8 +7,8 @@ import numpy as np
 from calibration.base import CalibrationError
 from calibration.base.arrays import Array
 from calibration.ci.pages.charts import thinned
+from calibration.ci.pages.figures import Cloud, Kind, Line, scene
 from calibration.ci.pages.html import Html, element, join
-from calibration.ci.pages.scene import Cloud, Kind, Line, scene
 from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.evaluation.label_errors import Residuals
 from calibration.engine.geometry.transforms import apply

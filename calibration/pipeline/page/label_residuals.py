@@ -11,8 +11,8 @@ from calibration.base import CalibrationError
 from calibration.base.arrays import Array
 from calibration.base.optional import optional
 from calibration.ci.pages.charts import drawing, heat_map, histogram, text
+from calibration.ci.pages.figures import CORNER_STEPS, FIGURE_WIDTH, image_map, overlay, residual_plane
 from calibration.ci.pages.html import Html, element, figure, join
-from calibration.ci.pages.image_figures import CORNER_STEPS, FIGURE_WIDTH, image_map, overlay, residual_plane
 from calibration.engine.dataset.document import Node, locate
 from calibration.engine.dataset.model import Dataset, Sensor
 from calibration.engine.estimation.covariance.lens_errors import LensSource

@@ -12,8 +12,7 @@ from calibration.base import ExitCode, count_of, exit_code_of, shorten
 from calibration.base.arrays import Array
 from calibration.base.records import computed, field, result
 from calibration.base.verdict import Check, Verdict, at_most
-from calibration.ci.report.junit import ErrorCode, Outcome
-from calibration.ci.report.xunit_reading import CaseOutcome, RepeatedFailure, repeated_failures
+from calibration.ci.report.junit import CaseOutcome, ErrorCode, Outcome, RepeatedFailure, repeated_failures
 from calibration.engine.geometry import rotations
 from calibration.pipeline.repetition.repetition import MaxSpread, Outputs, Repetition, Repetitions
 

@@ -6,7 +6,7 @@ from calibration.addons.coverage.pseudo_tested import Recording
 from calibration.addons.coverage.reading import read_reports
 from calibration.addons.coverage.sources import Sources, functions_of
 from calibration.ci.git import Repository
-from calibration.ci.report.xunit_reading import read_test_report
+from calibration.ci.report.junit import read_test_report
 from tests.campaigns.target import Target, files_of
 
 RECORD = b"""["entered", 0, null]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import FileCoverage, Rate
 from calibration.addons.coverage.results import CoverageOfChange, Span, coverage_of_change
 from calibration.base import InfrastructureError, InputError
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base

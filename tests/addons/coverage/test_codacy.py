@@ -19,7 +19,7 @@ from calibration.addons.coverage.codacy import (
     parse_api_url,
     report_body,
 )
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import FileCoverage, Rate
 from calibration.base import InfrastructureError, InputError
 from calibration.base.http import FIRST_PAUSE, MAX_ATTEMPTS, MAX_BYTES, Http, Timeouts
 from tests.docker_engine import wait_until

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.formats import parse_gcov
-from calibration.addons.coverage.lines import Rate
+from calibration.addons.coverage.formats import Rate, parse_gcov
 from calibration.base import InputError
 
 

@@ -3,7 +3,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.lines import FileCoverage, Rate, combined, ranges
+from calibration.addons.coverage.formats import FileCoverage, Rate, combined, ranges
 
 LINES = st.sets(st.integers(1, 60))
 FILES = st.builds(

@@ -24,7 +24,7 @@ from calibration.addons.coverage.tests import (
     measurement,
 )
 from calibration.base import InputError
-from calibration.ci.report.xunit_reading import Tally
+from calibration.ci.report.junit import Tally
 
 from .projects import TOKEN
 

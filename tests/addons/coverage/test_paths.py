@@ -2,8 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.coverage.formats import CoverageReport
-from calibration.addons.coverage.lines import FileCoverage
+from calibration.addons.coverage.formats import CoverageReport, FileCoverage
 from calibration.addons.coverage.reading import MAX_COPY, PathMap, mapped
 from calibration.ci.git import Repository
 from tests.repositories import commit, write

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.lines import Rate
+from calibration.addons.coverage.formats import Rate
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,7 @@ import pytest
 from coverage import CoverageData
 
 from calibration.addons.coverage import coverage_py
-from calibration.addons.coverage.formats import MAX_BYTES
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import MAX_BYTES, FileCoverage, Rate
 from calibration.addons.coverage.reading import Found, read_reports
 from calibration.addons.coverage.sources import find_sources
 from calibration.base import InfrastructureError, InputError

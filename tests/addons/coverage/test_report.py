@@ -8,7 +8,7 @@ import pytest
 from defusedxml.ElementTree import fromstring
 
 from calibration.addons import coverage
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import FileCoverage, Rate
 from calibration.addons.coverage.pseudo_tested import (
     OVER_BUDGET,
     PseudoTestedFunction,
@@ -28,8 +28,7 @@ from calibration.addons.coverage.results import (
 from calibration.addons.coverage.tests import Tests
 from calibration.base import ExitCode
 from calibration.ci.github.service import GITHUB
-from calibration.ci.report.junit import junit_xml
-from calibration.ci.report.xunit_reading import CaseOutcome, Tally
+from calibration.ci.report.junit import CaseOutcome, Tally, junit_xml
 from calibration.ci.workflow import Runner, annotate
 from calibration.ci.workflow.runner import Level
 

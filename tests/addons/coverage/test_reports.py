@@ -7,10 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.addons.coverage.formats import parse_cobertura, parse_lcov, tracefile
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import FileCoverage, Rate, parse_cobertura, parse_lcov, tracefile
 from calibration.base import InputError
-from calibration.ci.report.xunit_reading import CaseOutcome, Tally, read_test_report
+from calibration.ci.report.junit import CaseOutcome, Tally, read_test_report
 
 COBERTURA = """<?xml version="1.0" ?>
 <!DOCTYPE coverage SYSTEM "http://cobertura.sourceforge.net/xml/coverage-04.dtd">

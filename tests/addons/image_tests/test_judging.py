@@ -11,7 +11,7 @@ from calibration.addons.image_tests.settings import ImageTests
 from calibration.base import ExitCode
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End, JobOutcome
-from calibration.ci.report.xunit_reading import RepeatedFailure, repeated_failures
+from calibration.ci.report.junit import RepeatedFailure, repeated_failures
 
 GREEN = '<testsuite name="s"><testcase classname="c" name="one" time="0.5"/><testcase name="two"/></testsuite>'
 RED = '<testsuite><testcase name="one"><failure message="off by one"/></testcase><testcase name="two"/></testsuite>'

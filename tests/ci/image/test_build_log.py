@@ -11,7 +11,7 @@ from calibration.ci.image.build_request import (
     BuildLog,
     build_problem,
 )
-from calibration.ci.image.buildkit import BuildKitOutput
+from calibration.ci.image.builders import BuildKitOutput
 from calibration.ci.workflow import Runner
 
 OLD = """#1 [internal] load build definition from Dockerfile

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from calibration.base import InfrastructureError
-from calibration.ci.image import buildkit
-from calibration.ci.image.buildkit import Program, find_buildkit, lines_of, write_login
+from calibration.ci.image import builders
+from calibration.ci.image.builders import Program, find_buildkit, lines_of, write_login
 from calibration.ci.registries.reference import Credentials
 from tests.docker_engine import wait_until
 from tests.processes import runs
@@ -38,7 +38,7 @@ def test_which_docker_does_buildkit(tmp_path: Path) -> None:
 
 
 def test_a_program_that_never_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buildkit, "VERSION_SECONDS", 0.2)
+    monkeypatch.setattr(builders, "VERSION_SECONDS", 0.2)
     assert find_buildkit(program(tmp_path / "slow", "exec sleep 60")) is None
 
 
@@ -70,7 +70,7 @@ def test_an_interrupt_stops_the_program(tmp_path: Path) -> None:
     script = """
 import os, sys
 from contextlib import closing
-from calibration.ci.image.buildkit import lines_of
+from calibration.ci.image.builders import lines_of
 command = ["sh", "-c", "echo $$; exec sleep 3600"]
 with open(os.devnull, "rb") as stdin, closing(lines_of(command, stdin, os.environ)) as lines:
     for line in lines:

@@ -8,8 +8,8 @@ import pytest
 from calibration.base import InfrastructureError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest
+from calibration.ci.image.builders import build_by_engine
 from calibration.ci.image.context import Context
-from calibration.ci.image.engine_builder import build_by_engine
 from calibration.ci.image.plan import fetch
 from calibration.ci.registries.reference import Credentials
 from calibration.ci.workflow import Runner

@@ -13,7 +13,7 @@ import pytest
 from calibration.base import InfrastructureError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.image.build_request import BuildFailedError, BuildLog, BuildRequest, SecretValue
-from calibration.ci.image.buildkit import Program, build_and_push, build_by_buildkit
+from calibration.ci.image.builders import Program, build_and_push, build_by_buildkit
 from calibration.ci.image.context import Context
 from calibration.ci.registries.reference import Credentials
 from calibration.ci.workflow import Runner

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from calibration.ci.pages.charts import ellipses, trend
+from calibration.ci.pages.figures import LETTER_HEIGHT, LETTER_WIDTH, Kind, Line, scene
 from calibration.ci.pages.html import table
-from calibration.ci.pages.scene import LETTER_HEIGHT, LETTER_WIDTH, Kind, Line, scene
 
 TEXT = re.compile(r'<text x="([-\d.]+)" y="([-\d.]+)" class="small label">(\w+)</text>')
 PATH = re.compile(r'<path d="M([^"]*)"')

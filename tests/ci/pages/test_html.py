@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.ci.pages.charts import SCALE_STEPS, Axis, ellipses, heat_map, histogram, ticks, trend
+from calibration.ci.pages.figures import Cloud, Kind, Line, overlay, residual_plane, scene
 from calibration.ci.pages.html import Html, element, figure, page, section, table
-from calibration.ci.pages.image_figures import overlay, residual_plane
-from calibration.ci.pages.scene import Cloud, Kind, Line, scene
 
 HOSTILE = st.one_of(
     st.text(),

@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 
-from calibration.ci.pages.image_figures import COLOUR_STEPS, CORNER_STEPS, image_map
+from calibration.ci.pages.figures import COLOUR_STEPS, CORNER_STEPS, image_map
 
 
 def test_each_number_is_a_cell_at_its_place_and_none_where_there_is_none() -> None:

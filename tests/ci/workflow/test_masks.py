@@ -4,7 +4,7 @@ from urllib.parse import quote
 
 import pytest
 
-from calibration.base.redaction import derived_forms, redact
+from calibration.base.text import derived_forms, redact
 from calibration.ci.workflow import Runner, add_mask
 from tests.ci.workflow.conftest import complained, printed
 

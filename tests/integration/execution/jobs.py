@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.ci.execution.docker.backend import DockerBackend
-from calibration.ci.execution.docker.leftovers import find_leftovers
+from calibration.ci.execution.docker.run_objects import find_leftovers
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import JobOutcome
 from tests.docker_engine import PYTHON_IMAGE

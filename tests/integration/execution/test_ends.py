@@ -14,7 +14,7 @@ from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.container_run import attach
 from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
-from calibration.ci.execution.docker.networks import Networks
+from calibration.ci.execution.docker.run_objects import Networks
 from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Limits, Readiness
 from calibration.ci.execution.outcome import End
 from tests.docker_engine import PYTHON_IMAGE, only_sleep

@@ -17,7 +17,7 @@ import pytest
 from calibration.base import InfrastructureError
 from calibration.ci.execution.docker.backend import DockerBackend
 from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
-from calibration.ci.execution.docker.leftovers import find_leftovers, remove
+from calibration.ci.execution.docker.run_objects import find_leftovers, remove
 from calibration.ci.execution.job import Job
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay

@@ -11,8 +11,7 @@ from calibration.ci.docker_engine import find_engine
 from calibration.ci.execution.docker import backend as backend_module
 from calibration.ci.execution.docker.container_run import container_settings
 from calibration.ci.execution.docker.labels import RUN_LABEL, new_run
-from calibration.ci.execution.docker.leftovers import find_leftovers, remove
-from calibration.ci.execution.docker.networks import Networks
+from calibration.ci.execution.docker.run_objects import Networks, find_leftovers, remove
 from calibration.ci.execution.job import (
     OUTPUT,
     Artifact,
@@ -246,7 +245,7 @@ def test_where_the_engine_cannot_keep_containers_apart_jobs_have_networks_of_the
     run = new_run()
     networks = Networks(run, {RUN_LABEL: run})
     monkeypatch.setattr(
-        "calibration.ci.execution.docker.networks._NO_TALKING", {"com.docker.network.bridge.enable_icc": "perhaps"}
+        "calibration.ci.execution.docker.run_objects._NO_TALKING", {"com.docker.network.bridge.enable_icc": "perhaps"}
     )
     try:
         first = networks.shared(engine.api, False)

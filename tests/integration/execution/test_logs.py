@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.ci.execution.docker.backend import DockerBackend
-from calibration.ci.execution.docker.leftovers import find_leftovers
+from calibration.ci.execution.docker.run_objects import find_leftovers
 from calibration.ci.execution.job import Container, Job, Limits, Mount, Readiness
 from calibration.ci.execution.outcome import End
 from calibration.ci.github.service import GITHUB
@@ -134,14 +134,14 @@ def test_the_engine_keeps_no_log(tmp_path: Path, engine: "DockerClient") -> None
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from calibration.ci.execution import log_file
+    from calibration.ci.workflow import streams
 
-    plain = log_file.Path.open
+    plain = streams.Path.open
 
     def full(path: Path, *arguments: object, **settings: object) -> object:
         return plain(Path("/dev/full") if path.suffix == ".log" else path, *arguments, **settings)  # type: ignore[call-overload]
 
-    monkeypatch.setattr(log_file.Path, "open", full)
+    monkeypatch.setattr(streams.Path, "open", full)
     outcome = run_job(tmp_path, shell("echo x; sleep 0.3; echo y"))
     assert outcome.exit_code == 3
     assert "a.log: the log cannot be written: No space left on device" in outcome.reasons[0]

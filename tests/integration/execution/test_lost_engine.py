@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from calibration.ci.execution.docker.labels import new_run
-from calibration.ci.execution.docker.leftovers import find_leftovers
+from calibration.ci.execution.docker.run_objects import find_leftovers
 from tests.docker_engine import OwnEngine, only_sleep, started_engine, wait_until
 
 PROJECT = Path(__file__).resolve().parents[3]

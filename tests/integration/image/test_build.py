@@ -33,7 +33,7 @@ FAKE_ROS = {
 
 
 def buildkit_or_skip() -> None:
-    from calibration.ci.image.buildkit import find_buildkit
+    from calibration.ci.image.builders import find_buildkit
 
     if find_buildkit(os.environ["PATH"]) is None:
         pytest.skip("needs a docker that does BuildKit (Debian's docker.io has one)")

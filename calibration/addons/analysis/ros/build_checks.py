@@ -5,8 +5,8 @@ import re
 from collections.abc import Iterator
 
 from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.ros import fault, quoted
 from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS, Argument, CMakeCommand
-from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of
 from calibration.addons.analysis.ros.repository import RosRepository, module_places
 from calibration.addons.analysis.ros.tree import parse_python

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from calibration.addons.analysis.results import CodeFinding
-from calibration.addons.analysis.ros.faults import fault, quoted
+from calibration.addons.analysis.ros import fault, quoted
 from calibration.addons.analysis.ros.graph import build_graphs
 from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import compose_yaml, entries_of, join, line_of, parse_xml, without_comments

@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from calibration.addons.analysis.results import CodeFinding
-from calibration.addons.analysis.ros.faults import fault, quoted
+from calibration.addons.analysis.ros import fault, quoted
 from calibration.addons.analysis.ros.graph import CONNECTIONS, Endpoint, Graph, GraphNode, build_graphs
 from calibration.addons.analysis.ros.launch import Include, Launch, LaunchParameter, package_of
 from calibration.addons.analysis.ros.repository import RosRepository, is_installed

@@ -4,8 +4,8 @@ import re
 from collections.abc import Iterator
 
 from calibration.addons.analysis.results import CodeFinding
+from calibration.addons.analysis.ros import fault, quoted
 from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS
-from calibration.addons.analysis.ros.faults import fault, quoted
 from calibration.addons.analysis.ros.package import BUILD_TAGS, Package
 from calibration.addons.analysis.ros.repository import RosRepository
 from calibration.addons.analysis.ros.tree import line_of

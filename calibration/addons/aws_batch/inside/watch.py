@@ -17,9 +17,9 @@ from calibration.base import CalibrationError, ExitCode, one_line
 from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.job_check import start_order
-from calibration.ci.execution.log_file import LONGEST_LINE, MOST_BYTES
 from calibration.ci.execution.outcome import End
 from calibration.ci.execution.supervision import Supervised, Supervisor, how_it_ended, is_running, unmet
+from calibration.ci.workflow.streams import LONGEST_LINE, MOST_BYTES
 
 METADATA_VARIABLE = "ECS_CONTAINER_METADATA_URI_V4"
 """Environment variable with the URL of ECS's task metadata."""

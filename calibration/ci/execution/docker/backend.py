@@ -18,8 +18,7 @@ from calibration.ci.docker_engine import EngineLostError, engine_errors, find_en
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.docker.job_run import Interrupted, JobRun, Run, lost_job
 from calibration.ci.execution.docker.labels import RUN_LABEL, Owner, check_run_name, new_run
-from calibration.ci.execution.docker.leftovers import counts_of, find_leftovers, remove, remove_of_dead_runs
-from calibration.ci.execution.docker.networks import Networks
+from calibration.ci.execution.docker.run_objects import Networks, counts_of, find_leftovers, remove, remove_of_dead_runs
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome

@@ -25,11 +25,11 @@ from calibration.base import CalibrationError
 from calibration.ci.docker_engine import Engine, engine_errors, lost
 from calibration.ci.execution.docker.copying import exists
 from calibration.ci.execution.docker.labels import new_run
-from calibration.ci.execution.docker.networks import Network
+from calibration.ci.execution.docker.run_objects import Network
 from calibration.ci.execution.job import OUTPUT, Container, Readiness
-from calibration.ci.execution.log_file import LogFile
 from calibration.ci.execution.outcome import End
 from calibration.ci.execution.supervision import Supervised, how_it_ended, unmet
+from calibration.ci.workflow.streams import LogFile
 
 _CONNECT_SECONDS = 0.5
 """Seconds; local containers answer much faster."""

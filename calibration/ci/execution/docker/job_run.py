@@ -9,7 +9,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 
 from calibration.base import CalibrationError, InfrastructureError, one_line
-from calibration.base.redaction import redact
+from calibration.base.text import redact
 from calibration.ci.docker_engine import Engine, EngineLostError, engine_errors
 from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.docker.container_run import (
@@ -21,11 +21,9 @@ from calibration.ci.execution.docker.container_run import (
 )
 from calibration.ci.execution.docker.copying import copy_in, open_output, opener_of
 from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, new_run
-from calibration.ci.execution.docker.leftovers import Leftover, remove
-from calibration.ci.execution.docker.networks import Network, Networks
+from calibration.ci.execution.docker.run_objects import Leftover, Network, Networks, remove
 from calibration.ci.execution.job import Job
 from calibration.ci.execution.job_check import start_order
-from calibration.ci.execution.log_file import LogFile
 from calibration.ci.execution.outcome import (
     ARTIFACTS_FOLDER,
     LOGS_FOLDER,
@@ -36,7 +34,7 @@ from calibration.ci.execution.outcome import (
     write_manifest,
 )
 from calibration.ci.execution.supervision import BeginWatch, Supervisor, is_running
-from calibration.ci.workflow.streams import LogDisplay
+from calibration.ci.workflow.streams import LogDisplay, LogFile
 
 WATCH_LOG_NAME = "live_watch"
 """Name of the watch's log among those of the containers; no application has one with an underscore."""

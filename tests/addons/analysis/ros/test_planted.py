@@ -7,7 +7,7 @@ import pytest
 from benchmarks.ros_defects import found_in
 from benchmarks.ros_defects.kinds import KINDS, Kind, planted
 from benchmarks.ros_defects.workspace import Workspace
-from calibration.addons.analysis.ros.faults import RULES
+from calibration.addons.analysis.ros import RULES
 
 PAGE = Path(__file__).parents[4] / "docs" / "static-analysis.md"
 

@@ -5,7 +5,7 @@ import pytest
 from calibration.addons.aws_batch.inside.script import LOG_FILE, Signs
 from calibration.addons.aws_batch.inside.watch import LogLine
 from calibration.ci.execution.job import Container, Job
-from calibration.ci.execution.log_file import LONGEST_LINE
+from calibration.ci.workflow.streams import LONGEST_LINE
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.coverage.lines import FileCoverage, Rate
+from calibration.addons.coverage.formats import FileCoverage, Rate
 from calibration.base import InfrastructureError, InputError
-from calibration.ci.report.xunit_reading import Tally
+from calibration.ci.report.junit import Tally
 from tests.addons.coverage.projects import NAMING, TOKEN
 from tests.repositories import commit, git, write
 

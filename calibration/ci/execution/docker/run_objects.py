@@ -1,19 +1,96 @@
-"""Objects that runs have created and not removed, found by their labels."""
+"""Objects of runs on a Docker Engine: the private networks of jobs, and what was not removed, found by its labels.
 
-from collections.abc import Iterable, Sequence
+Creating and removing a network takes a third of a second, so there are no more than needed to isolate jobs. Jobs with
+one container share a network on which the engine blocks traffic between containers, and allows it only to the outside.
+A job with several containers has its own network, which later jobs of the run reuse.
+"""
+
+import threading
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import docker.errors
+from docker import APIClient
 
-from calibration.base import InfrastructureError, count_of
-from calibration.ci.docker_engine import connect, engine_errors, engine_message
-from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, RUN_LABEL, Owner
+from calibration.base import CalibrationError, InfrastructureError, count_of
+from calibration.ci.docker_engine import EngineLostError, connect, engine_errors, engine_message
+from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, RUN_LABEL, Owner, new_run
 
-if TYPE_CHECKING:
-    from docker import APIClient
-
+_NO_TALKING = {"com.docker.network.bridge.enable_icc": "false"}
 Kind = Literal["container", "network", "volume"]
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network of a job."""
+
+    name: str
+    internal: bool
+    """Whether it has no connection to the outside."""
+    shared: bool
+    """Whether other jobs use it, which are unreachable."""
+
+
+class Networks:
+    """Networks of a run. Thread-safe."""
+
+    def __init__(self, run: str, labels: Mapping[str, str]) -> None:
+        self._run = run
+        self._labels = dict(labels)
+        self._free: dict[bool, list[Network]] = defaultdict(list)
+        self._shared: dict[bool, Network | None] = {}
+        self._lock = threading.Lock()
+
+    def shared(self, api: APIClient, internal: bool) -> Network:
+        """Return the network for jobs with one container; a separate one if the engine cannot isolate containers.
+
+        Raises:
+            InfrastructureError: the engine cannot create it, or does not answer.
+        """
+        with self._lock:
+            if internal not in self._shared:
+                try:
+                    self._shared[internal] = self._make_network(api, internal, shared=True)
+                except EngineLostError:
+                    raise
+                except CalibrationError:  # raised for kernels without br_netfilter
+                    self._shared[internal] = None
+            found = self._shared[internal]
+        return found or self.take(api, internal)
+
+    def take(self, api: APIClient, internal: bool) -> Network:
+        """Return an unused network.
+
+        Raises:
+            InfrastructureError: the engine cannot create one, or does not answer.
+        """
+        with self._lock:
+            if self._free[internal]:
+                return self._free[internal].pop()
+        return self._make_network(api, internal, shared=False)
+
+    def give_back(self, network: Network) -> None:
+        """Release a network that a job does not use any more."""
+        if not network.shared:
+            with self._lock:
+                self._free[network.internal].append(network)
+
+    def _make_network(self, api: APIClient, internal: bool, shared: bool) -> Network:
+        network = Network(f"calibration-{self._run}-{new_run()}", internal, shared)
+        options = _NO_TALKING if shared else {}
+        with engine_errors("network"):
+            try:
+                api.create_network(network.name, "bridge", options, internal=internal, labels=self._labels)
+            except docker.errors.APIError as error:
+                if "address pool" in str(error):
+                    raise InfrastructureError(
+                        "the Docker Engine has no addresses for one more network: run fewer jobs at once, "
+                        "or remove unused networks (docker network prune)"
+                    ) from None
+                raise
+        return network
 
 
 @dataclass(frozen=True)
@@ -42,7 +119,7 @@ class Leftover:
         return cls(kind, identifier, identifier, run="", job="", container="", state="", owner=None)
 
 
-def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
+def find_leftovers(api: APIClient, run: str | None = None) -> list[Leftover]:
     """Find objects of a run, or of all runs, on the engine, in an order in which they can be removed.
 
     Raises:
@@ -60,7 +137,7 @@ def find_leftovers(api: "APIClient", run: str | None = None) -> list[Leftover]:
     ]
 
 
-def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
+def remove(api: APIClient, leftovers: Sequence[Leftover]) -> list[Leftover]:
     """Remove objects, including running containers; those already gone are no error.
 
     Returns:
@@ -87,7 +164,7 @@ def remove(api: "APIClient", leftovers: Sequence[Leftover]) -> list[Leftover]:
     return removed
 
 
-def remove_of_dead_runs(api: "APIClient") -> list[Leftover]:
+def remove_of_dead_runs(api: APIClient) -> list[Leftover]:
     """Remove what runs have left whose processes were killed since this machine was started.
 
     Other machines may have its name and use the same engine: there a process of another start may be alive.
@@ -107,7 +184,7 @@ def counts_of(leftovers: Iterable[Leftover]) -> str:
     return ", ".join(counts) or "nothing"
 
 
-def _remove_leftover(api: "APIClient", leftover: Leftover) -> None:
+def _remove_leftover(api: APIClient, leftover: Leftover) -> None:
     if leftover.kind == "container":
         api.remove_container(leftover.id, force=True, v=True)
     elif leftover.kind == "network":

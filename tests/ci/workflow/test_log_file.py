@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base import InfrastructureError
-from calibration.ci.execution.log_file import LONGEST_LINE, LogFile
+from calibration.ci.workflow.streams import LONGEST_LINE, LogFile
 
 
 def test_kept_as_it_is_and_read_in_lines(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main
-from calibration.ci.forgejo.service import FORGEJO
+from calibration.ci.forgejo import FORGEJO
 from calibration.ci.github.service import GITHUB
 from calibration.ci.services import event_of, service_of
 from tests.ci.github.stand_in import FORBIDDEN, TOKEN, GitHub, stand_in

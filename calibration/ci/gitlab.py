@@ -1,18 +1,24 @@
 """GitLab CI as a CI service: sections in the log, a dotenv report, a code quality report, notes on merge requests.
 
+A pipeline has one note for each name, which is kept up to date as comments of GitHub are.
+
 https://docs.gitlab.com/ci/variables/predefined_variables/
 """
 
 import hashlib
 import json
+import re
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from calibration.base import InputError, brief, one_line, read_bytes, shorten, visible, writing
 from calibration.ci.git import is_commit
+from calibration.ci.github.api import GitHubApi, MissingError
+from calibration.ci.github.comments import Comments, RunComments, run_number
 from calibration.ci.workflow.runner import (
     Annotation,
     Environment,
@@ -34,6 +40,10 @@ MAX_DOTENV_VALUE_CHARACTERS = 500
 MAX_CODE_QUALITY_BYTES = 16 * 1024 * 1024
 CODE_QUALITY_SEVERITY = {Level.ERROR: "major", Level.WARNING: "minor", Level.NOTICE: "info"}
 _CLEAR_LINE = "\r\x1b[0K"
+GITLAB_API_URL = "https://gitlab.com/api/v4"
+_ZERO_WIDTH_SPACE = "\u200b"
+_ACTIVE_IN_GITLAB = re.compile(r'^(?=[^\S\n]*/)|(?<=[!$~&%^])(?=[\d"])|(?<=[!$~])(?=\w)', re.MULTILINE)
+"""Positions in quick actions (a line ``/merge``) and references (``!1``, ``~label``) that we deactivate."""
 
 
 class GitLab(Terminal):
@@ -113,9 +123,6 @@ class GitLab(Terminal):
 
     def comments(self, environment: Environment, token: str | None, api_url: str | None) -> PullRequestComments | None:
         """Return the notes on the pipeline's merge request; raises as `merge_request_notes`."""
-        # Here, as it imports the HTTP client, which only this command needs.
-        from calibration.ci.gitlab.notes import merge_request_notes
-
         return merge_request_notes(environment, token, api_url)
 
 
@@ -184,3 +191,67 @@ def _code_quality_entry(annotation: Annotation, file: str, known: set[Any]) -> d
         "severity": CODE_QUALITY_SEVERITY[annotation.level],
         "location": {"path": file, "lines": {"begin": annotation.line or 1}},
     }
+
+
+class GitLabApi(GitHubApi):
+    """Session with GitLab's API, whose lists, answers and tokens have the same form."""
+
+    address_variable = "CI_API_V4_URL"
+    accepted_type = "application/json"
+    needed = "it needs the scope api and the role Developer, on"
+    update_method = "PUT"
+
+
+@dataclass(frozen=True)
+class Notes(Comments):
+    """Notes on one merge request of a project, whose number is `repository`."""
+
+    @property
+    def _list_path(self) -> str:
+        return f"/projects/{self.repository}/merge_requests/{self.number}/notes"
+
+    def _comment_path(self, comment: int) -> str:
+        return f"{self._list_path}/{comment}"
+
+    def _is_own(self, comment: Mapping[str, Any], login: str | None) -> bool:
+        author = comment.get("author")
+        return isinstance(author, dict) and login is not None and author.get("username") == login
+
+    def _login_of_token(self) -> str | None:
+        try:
+            user = self.api.request("GET", "/user")
+        except MissingError as error:
+            raise InputError(f"{error}: CI_API_V4_URL or api-url is no address of GitLab's API") from None
+        login = user.get("username") if isinstance(user, dict) else None
+        return login if isinstance(login, str) else None
+
+
+@dataclass(frozen=True)
+class RunNotes(RunComments):
+    """Notes of a pipeline on its merge request."""
+
+    def keep(self, name: str, text: str) -> str:
+        """Write the job's note of this name, in which nothing but its last line of links is active."""
+        body, end, links = text.rstrip("\n").rpartition("\n")
+        return super().keep(name, f"{_ACTIVE_IN_GITLAB.sub(_ZERO_WIDTH_SPACE, body)}{end}{links}\n")
+
+
+def merge_request_notes(environment: Mapping[str, str], token: str | None, api_url: str | None) -> RunNotes | None:
+    """Return the notes on the pipeline's merge request; None if it has none.
+
+    Raises:
+        InputError: there is no token, or the pipeline has no number.
+    """
+    project, number = environment.get("CI_MERGE_REQUEST_PROJECT_ID"), environment.get("CI_MERGE_REQUEST_IID")
+    if not project or not number:
+        return None
+    if token is None:
+        raise InputError("token: found none, expected a project access token (scope api) as GITLAB_TOKEN")
+    api = GitLabApi.open(token, api_url or environment.get("CI_API_V4_URL") or GITLAB_API_URL, permission="the project")
+    return RunNotes(
+        Notes(api, str(run_number(project, "CI_MERGE_REQUEST_PROJECT_ID")), run_number(number, "CI_MERGE_REQUEST_IID")),
+        environment.get("CI_JOB_NAME", ""),
+        (run_number(environment.get("CI_PIPELINE_ID"), "CI_PIPELINE_ID"), 1),  # a job that is retried replaces its note
+        environment.get("CI_PIPELINE_URL", ""),
+        environment.get("CI_MERGE_REQUEST_SOURCE_BRANCH_SHA") or environment.get("CI_COMMIT_SHA"),
+    )

@@ -11,7 +11,7 @@ import yaml
 
 from calibration.__main__ import main
 from calibration.base import InputError
-from calibration.ci.gitlab.service import GITLAB, add_to_code_quality
+from calibration.ci.gitlab import GITLAB, add_to_code_quality
 from calibration.ci.services import event_of, service_of
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, group, set_outputs
 from tests.ci.github.stand_in import TOKEN, GitHub, stand_in

@@ -4,7 +4,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.base.redaction import Redactor
+from calibration.base.text import Redactor
 
 
 def redacted(secrets: list[str], chunks: list[bytes]) -> bytes:

@@ -1,1 +1,0 @@
-"""Forgejo and Gitea Actions as a CI service, and the one comment on a pull request."""
