@@ -17,7 +17,7 @@ from benchmarks.shared_data import load, missing
 from benchmarks.verdict.recordings import NO_ARM, real_arm
 from calibration.base import CalibrationError
 from calibration.base.arrays import Array, IntArray
-from calibration.base.flake_rate import FlakeRate
+from calibration.base.verdict import FlakeRate
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.diagnosis.limits import Limits, stated
 from calibration.engine.estimation.calibrate import calibrate

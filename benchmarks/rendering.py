@@ -18,7 +18,7 @@ from benchmarks.room import LARGE, PATTERN, ROOM, SMALL, T_WORLD_CAMERA, Size, p
 from benchmarks.rows import Bar, Row
 from benchmarks.sensors import RAYS, measured
 from calibration.base.arrays import Array
-from calibration.ci.execution.embedded import Embedded
+from calibration.ci.execution.tasks import Embedded
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.robot.labelling.detection import NotDetected

@@ -6,8 +6,7 @@ from functools import partial
 from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import seconds
-from calibration.ci.execution.embedded import single_threaded_opencv
-from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.execution.tasks import Task, run_tasks, single_threaded_opencv
 from calibration.robot.simulation.scenarios.run import run_scenario
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set

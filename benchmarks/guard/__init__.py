@@ -16,8 +16,7 @@ from benchmarks.guard import edges, lidars, witnessed
 from benchmarks.guard.clips import Clip, Displacement, Disturbances, Room, as_recorded, camera_of_room
 from benchmarks.rows import Bar, Row
 from calibration.addons.guard.features import KeptCamera
-from calibration.addons.guard.fixed_check import check_fixed_camera
-from calibration.addons.guard.keeping import kept_camera
+from calibration.addons.guard.fixed_check import check_fixed_camera, kept_camera
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.robot.labelling.detection import Image
 

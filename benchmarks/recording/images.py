@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.recording.curve import Curve
 from benchmarks.room import LARGE, PATTERN, ROOM, T_WORLD_CAMERA, poses
 from calibration.base.arrays import Array
-from calibration.ci.execution.embedded import Embedded
+from calibration.ci.execution.tasks import Embedded
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector

@@ -14,7 +14,7 @@ from benchmarks.shared_data import ROOT
 from benchmarks.verdict.scene import Scene
 from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.ci.execution.embedded import single_threaded_opencv
+from calibration.ci.execution.tasks import single_threaded_opencv
 from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset

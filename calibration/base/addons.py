@@ -43,7 +43,7 @@ class AddonStage(NamedTuple):
     section: str
     """Its section of calibration.yml, and the key of its result in results.json."""
     result: DocumentSection
-    """Its result, a `StageResult` (`calibration.ci.report.results_json`)."""
+    """Its result, a `StageResult` (`calibration.ci.report.report`)."""
     needs_image: bool = False
     """Whether it runs in the image of the run, which is built for it."""
     job: str = ""

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from calibration.base import InputError
-from calibration.ci.github.api import MAX_PAGES, GitHubApi
 from calibration.ci.github.comments import Comments, RunComments, run_comments
-from calibration.ci.github.service import GitHub
+from calibration.ci.github.service import MAX_PAGES, GitHub, GitHubApi
 from calibration.ci.workflow.runner import Annotation, Environment, PullRequestComments, Runner, Terminal
 
 ACTIONS_USERS = ("forgejo-actions", "gitea-actions")

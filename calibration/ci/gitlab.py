@@ -17,8 +17,8 @@ from typing import Any
 
 from calibration.base import InputError, brief, one_line, read_bytes, shorten, visible, writing
 from calibration.ci.git import is_commit
-from calibration.ci.github.api import GitHubApi, MissingError
 from calibration.ci.github.comments import Comments, RunComments, run_number
+from calibration.ci.github.service import GitHubApi, MissingError
 from calibration.ci.workflow.runner import (
     Annotation,
     Environment,

@@ -19,9 +19,9 @@ from calibration.ci.image.specification import (
     parse_image_specification,
     read_image_specification,
 )
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote
 from calibration.ci.registries.reference import RegistrySettings, check_tag
+from calibration.ci.registries.registry import registry_login
 from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import (

@@ -10,7 +10,7 @@ from calibration.base import ExitCode
 from calibration.base.records import field, record
 from calibration.ci.github.comments import comment_text
 from calibration.ci.report import count_of
-from calibration.ci.report.results_json import BRIEF_FILE, Brief, read_brief
+from calibration.ci.report.report import BRIEF_FILE, Brief, read_brief
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, set_outputs
 from calibration.ci.workflow.runner import PullRequestComments
 from calibration.commands.parameters import chosen, masked_token, record_options

@@ -6,8 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from calibration.base import write_atomically
-from calibration.ci.execution.embedded import cores
-from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.execution.tasks import Task, cores, run_tasks
 from calibration.ci.report import Lines, Outcome, Report, Text, results_text
 from calibration.ci.report.blocks import BADGE_FILE as BADGE
 from calibration.ci.report.blocks import verdict_badge

@@ -12,7 +12,7 @@ from calibration.base.records import computed, field, result, with_fields
 from calibration.ci.report import FILES, RESULTS_FILE, Verdict, read_results_file, remove_results, verdict_of
 from calibration.ci.report.blocks import BADGE_FILE as BADGE
 from calibration.ci.report.junit import ErrorCode
-from calibration.ci.report.results_json import BRIEF_FILE, StageResult
+from calibration.ci.report.report import BRIEF_FILE, StageResult
 from calibration.engine.baseline.document import BaselineUpdate
 from calibration.engine.dataset.model import ROUGH_KEY, Dataset
 from calibration.engine.dataset.reading import FILE_NAME

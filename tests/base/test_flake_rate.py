@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta
 
-from calibration.base.flake_rate import FlakeRate, rate_seen_by, runs_to_see
+from calibration.base.verdict import FlakeRate, rate_seen_by, runs_to_see
 
 
 @pytest.mark.thorough(but_first=2)

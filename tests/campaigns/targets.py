@@ -25,7 +25,7 @@ from calibration.ci.image.context import read_ignore_file
 from calibration.ci.image.repositories import read_repositories
 from calibration.ci.image.specification import read_image_specification
 from calibration.ci.introspection import read_rules
-from calibration.ci.report.results_json import read_brief
+from calibration.ci.report.report import read_brief
 from calibration.engine.baseline.document import read_baseline
 from calibration.engine.dataset.configuration import read_configuration as read_atom_configuration
 from calibration.engine.dataset.depth_image import read_depth_image

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from calibration.__main__ import main, run_action
-from calibration.ci.report.results_json import BRIEF_FILE, Brief
+from calibration.ci.report.report import BRIEF_FILE, Brief
 from tests.ci.github.stand_in import FORBIDDEN, REPOSITORY, TOKEN, GitHub, github
 
 HEAD = "a" * 40

@@ -35,7 +35,7 @@ def test_no_workers_are_begun_without_room_for_their_threads() -> None:
     code = (
         "import resource\n"
         "from pathlib import Path\n"
-        "from calibration.ci.execution.embedded import in_processes\n"
+        "from calibration.ci.execution.tasks import in_processes\n"
         "pages = int(Path('/proc/self/statm').read_text().split()[0])\n"
         "room = pages * resource.getpagesize() + (40 << 20)\n"
         "resource.setrlimit(resource.RLIMIT_AS, (room, room))\n"
@@ -48,7 +48,7 @@ def test_no_workers_are_begun_without_room_for_their_threads() -> None:
 def test_a_worker_whose_parent_is_killed_while_it_is_forked_ends() -> None:
     code = (
         "import os, signal, time\n"
-        "from calibration.ci.execution.embedded import in_processes\n"
+        "from calibration.ci.execution.tasks import in_processes\n"
         "def kill_parent():\n"
         "    parent = os.getppid()\n"
         "    os.kill(parent, signal.SIGKILL)\n"

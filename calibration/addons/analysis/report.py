@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any, get_args
 from urllib.parse import quote, unquote
 
-from calibration.addons.analysis.analysers.code import BADGE_FILE, grade_badge
-from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosGraph
+from calibration.addons.analysis.analysers.own_checks import JSON_FILE, PICTURE_FILE, RosGraph
+from calibration.addons.analysis.analysers.programs import BADGE_FILE, grade_badge
 from calibration.addons.analysis.copies import Compared, Located
 from calibration.addons.analysis.results import (
     CATEGORIES,

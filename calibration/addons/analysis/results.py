@@ -6,7 +6,7 @@ from typing import Literal
 
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Check, count_of
-from calibration.ci.report.results_json import StageResult
+from calibration.ci.report.report import StageResult
 
 Category = Literal[
     "error-prone",

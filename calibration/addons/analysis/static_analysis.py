@@ -16,8 +16,8 @@ import click
 
 from calibration.addons.analysis.analysers import ANALYSERS, Analyser
 from calibration.addons.analysis.analysers.analyser import ProgramFailedError
-from calibration.addons.analysis.analysers.code import BADGE_FILE, CodeMetrics, measure
-from calibration.addons.analysis.analysers.ros import JSON_FILE, PICTURE_FILE, RosChecks, RosGraph, read_graph
+from calibration.addons.analysis.analysers.own_checks import JSON_FILE, PICTURE_FILE, RosChecks, RosGraph, read_graph
+from calibration.addons.analysis.analysers.programs import BADGE_FILE, CodeMetrics, measure
 from calibration.addons.analysis.copies import (
     Compared,
     Copy,
@@ -40,7 +40,7 @@ from calibration.addons.analysis.settings import (
 )
 from calibration.base import ExitCode, InputError, did_you_mean, read_yaml, shorten, temporary_folder
 from calibration.base.records import changed, field, read, record
-from calibration.ci.execution.sizes import parse_seconds
+from calibration.ci.execution.job import parse_seconds
 from calibration.ci.git import Repository, find_base
 from calibration.ci.report import FILES, Report, count_of, publish, remove_results
 from calibration.ci.services import event_of

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from calibration.addons.aws_batch import wire
 from calibration.addons.aws_batch.checks import Guard, likely_reasons
 from calibration.addons.aws_batch.definition import ShapeGroup, Usage, billed, estimate, job_definition, total_size
 from calibration.addons.aws_batch.following import JOBS_PER_CALL, Following, JobEnd, Poll, Submitted, batches, describe
@@ -25,15 +26,6 @@ from calibration.addons.aws_batch.submitting import (
     run_tags,
     submission,
     terminate,
-)
-from calibration.addons.aws_batch.wire import (
-    JOBS_PER_FILE,
-    MAX_JOBS_BYTES,
-    OUTCOME_FILE,
-    Location,
-    max_outcome_bytes,
-    parse_json,
-    read_outcome,
 )
 from calibration.base import CalibrationError, ExitCode, InfrastructureError
 from calibration.base.records import document_of, read
@@ -335,7 +327,7 @@ def find_results(run: CloudRun) -> dict[str, Result]:
     for group in store.folders(root):
         place = run.location(group)
         attempts, ids = _latest_attempts(store, root, group), _ids_of_jobs(store, place)
-        for first in sorted({index // JOBS_PER_FILE * JOBS_PER_FILE for index in attempts}):
+        for first in sorted({index // wire.JOBS_PER_FILE * wire.JOBS_PER_FILE for index in attempts}):
             for number, entry in enumerate(_read_list(store, place.jobs_key(first))):
                 index = first + number
                 if index in attempts and isinstance(entry, dict):
@@ -356,10 +348,10 @@ def has_verdict(run: CloudRun, result: Result, job: Job) -> bool:
         InputError: access is denied.
         AwsLostError: AWS does not answer.
     """
-    key = run.location(result.group).result_key(result.index, result.attempt, OUTCOME_FILE)
-    data = run.store.get(key, max_outcome_bytes(job))
+    key = run.location(result.group).result_key(result.index, result.attempt, wire.OUTCOME_FILE)
+    data = run.store.get(key, wire.max_outcome_bytes(job))
     try:
-        return data is not None and read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
+        return data is not None and wire.read_outcome(data, job, result.attempt, key).exit_code <= ExitCode.FAIL
     except AwsLostError:
         raise
     except InfrastructureError:  # not an outcome of this job
@@ -371,7 +363,7 @@ def submitted_document(submitted: Iterable[Submitted]) -> bytes:
     return json.dumps([document_of(each) for each in submitted]).encode()
 
 
-def _ids_of_jobs(store: Store, location: Location) -> dict[int, str]:
+def _ids_of_jobs(store: Store, location: wire.Location) -> dict[int, str]:
     """Return the id of each job of a group; jobs with unknown ids are omitted."""
     key = location.submitted_key
     ids: dict[int, str] = {}
@@ -384,7 +376,7 @@ def _ids_of_jobs(store: Store, location: Location) -> dict[int, str]:
 
 def _latest_attempts(store: Store, root: str, group: str) -> dict[int, int]:
     """Return the latest complete attempt of each job of a group."""
-    pattern = re.compile(rf"{re.escape(f'{root}{group}/')}([0-9]{{1,9}})/([0-9]{{1,9}})/{re.escape(OUTCOME_FILE)}")
+    pattern = re.compile(rf"{re.escape(f'{root}{group}/')}([0-9]{{1,9}})/([0-9]{{1,9}})/{re.escape(wire.OUTCOME_FILE)}")
     attempts: dict[int, int] = {}
     for key in store.keys(f"{root}{group}/"):
         if match := pattern.fullmatch(key):
@@ -395,6 +387,6 @@ def _latest_attempts(store: Store, root: str, group: str) -> dict[int, int]:
 
 def _read_list(store: Store, key: str) -> list[Any]:
     """Return the list in a file; an empty one if there is no such file."""
-    data = store.get(key, MAX_JOBS_BYTES)
-    document = [] if data is None else parse_json(data, MAX_JOBS_BYTES, key)
+    data = store.get(key, wire.MAX_JOBS_BYTES)
+    document = [] if data is None else wire.parse_json(data, wire.MAX_JOBS_BYTES, key)
     return document if isinstance(document, list) else []

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Annotated, Literal
 
 from calibration.base.records import Misfit, above, at_least, between, field, length, matching, needs, record
-from calibration.ci.execution.sizes import Bytes, Seconds
+from calibration.ci.execution.job import Bytes, Seconds
 
 Platform = Literal["fargate", "ec2"]
 """fargate: each task has its own network and machine. ec2: instances of the compute environment, for GPUs,

@@ -43,10 +43,10 @@ from calibration.base import ExitCode, InfrastructureError, InputError, one_line
 from calibration.base.files import matching
 from calibration.base.process import hide
 from calibration.base.records import at_least, between, field, record
-from calibration.ci.execution.sizes import parse_seconds
+from calibration.ci.execution.job import parse_seconds
 from calibration.ci.git import Repository, changed_lines, files_without_lines, find_base
 from calibration.ci.report import FILES, publish, remove_results
-from calibration.ci.report.results_json import BRIEF_FILE
+from calibration.ci.report.report import BRIEF_FILE
 from calibration.ci.services import event_of
 from calibration.ci.workflow import Runner, set_outputs
 from calibration.ci.workflow.runner import Event

@@ -9,17 +9,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from calibration.addons.coverage import formats
 from calibration.addons.coverage.coverage_py import SQLITE_MAGIC, copied, measured_names, merge, report_of
-from calibration.addons.coverage.formats import (
-    GCOV_START,
-    MAX_BYTES,
-    CoverageReport,
-    FileCoverage,
-    combined,
-    parse_cobertura,
-    parse_gcov,
-    parse_lcov,
-)
 from calibration.addons.coverage.sources import PYTHON_LANGUAGE, Sources, functions_of, language_of
 from calibration.base import InputError, read_bytes
 from calibration.base.records import field, result
@@ -49,7 +40,7 @@ NOTHING_LEFT_OUT = UncountedFile((), {}, {}, (), {})
 class Found:
     """Coverage of the repository, with what could not be used."""
 
-    files: Mapping[str, FileCoverage]
+    files: Mapping[str, formats.FileCoverage]
     """Coverage of each file, by path in the repository."""
     left_out: UncountedFile = NOTHING_LEFT_OUT
 
@@ -117,7 +108,7 @@ class PathMap:
         return ()
 
 
-def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[str]) -> Found:
+def mapped(reports: Iterable[formats.CoverageReport], paths: PathMap, counted: Iterable[str]) -> Found:
     """Combine reports to the coverage of the repository's files.
 
     Args:
@@ -126,7 +117,7 @@ def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[
         counted: the files that count; others are ignored.
     """
     wanted = set(counted)
-    parts: dict[str, list[FileCoverage]] = defaultdict(list)
+    parts: dict[str, list[formats.FileCoverage]] = defaultdict(list)
     names = _Names(paths)
     for report in reports:
         for name, coverage in report.files.items():
@@ -134,7 +125,7 @@ def mapped(reports: Iterable[CoverageReport], paths: PathMap, counted: Iterable[
                 parts[file].append(coverage)
     files, ill_fitting = {}, {}
     for path in sorted(parts):
-        coverage = combined(parts[path])
+        coverage = formats.combined(parts[path])
         highest = max([*coverage.hits, *coverage.branches], default=0)
         if highest > _line_count(paths.repository.root / path):
             ill_fitting[path] = highest
@@ -244,7 +235,7 @@ def read_reports(
     return replace(found, left_out=left_out)
 
 
-def _separate_reports(files: Sequence[Path]) -> tuple[list[CoverageReport], list[Path]]:
+def _separate_reports(files: Sequence[Path]) -> tuple[list[formats.CoverageReport], list[Path]]:
     """Separate reports from data files of coverage.py.
 
     Raises:
@@ -252,18 +243,18 @@ def _separate_reports(files: Sequence[Path]) -> tuple[list[CoverageReport], list
     """
     reports, data_files = [], []
     for file in files:
-        content = read_bytes(file, MAX_BYTES, KINDS_OF_REPORTS)
+        content = read_bytes(file, formats.MAX_BYTES, KINDS_OF_REPORTS)
         begin = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
         if content.startswith(SQLITE_MAGIC):
             data_files.append(file)
         elif not begin:
             raise InputError(f"{file}: it is empty, {KINDS_OF_REPORTS} was expected")
         elif begin.startswith((b"<", b"\xff\xfe", b"\xfe\xff")):  # the latter: XML in UTF-16
-            reports.append(parse_cobertura(content, str(file)))
-        elif begin.startswith(GCOV_START):
-            reports.append(parse_gcov(content, str(file)))
+            reports.append(formats.parse_cobertura(content, str(file)))
+        elif begin.startswith(formats.GCOV_START):
+            reports.append(formats.parse_gcov(content, str(file)))
         elif b"SF:" in content:
-            reports.append(parse_lcov(content, str(file)))
+            reports.append(formats.parse_lcov(content, str(file)))
         else:
             raise InputError(f"{file}: found none of the known forms, {KINDS_OF_REPORTS} was expected")
     return reports, data_files

@@ -3,10 +3,9 @@
 - ``manifest``: the tar of a bundle, and what it says of itself;
 - ``attestation``: an in-toto statement in a DSSE envelope, signed by a team's key;
 - ``bundling``: a bundle of the results of a run, and its files;
-- ``bundle``: the command and the stage;
-- ``destinations``: a bundle in a file, a folder or a registry; ``artifact``: delivery to a registry, and to GitHub's
-  releases;
-- ``changes``: what differs between two bundles, the version that follows, and delivery; ``deliver``: the command;
+- ``destinations``: a bundle in a file, a folder, a registry or GitHub's releases, and delivery to these;
+- ``changes``: what differs between two bundles, the version that follows, and delivery;
+- ``deliver``: the commands ``bundle`` and ``deliver``, and the stage;
 - ``fleet``: the command that compares the robots of a fleet;
 - ``checking``: whether a bundle is accepted on this robot, and is what is in use;
 - ``in_use``: transforms and cameras that are in use;
@@ -17,9 +16,11 @@ from calibration.base.addons import Addon, AddonStage, DocumentSection, LazyComm
 
 ADDON = Addon(
     commands={
-        "bundle": LazyCommand(f"{__name__}.bundle:command", "Pack accepted calibrations for the robot, and sign them."),
+        "bundle": LazyCommand(
+            f"{__name__}.deliver:bundle_command", "Pack accepted calibrations for the robot, and sign them."
+        ),
         "deliver": LazyCommand(
-            f"{__name__}.deliver:command", "Bundle and deliver: to a registry, a release, a folder."
+            f"{__name__}.deliver:deliver_command", "Bundle and deliver: to a registry, a release, a folder."
         ),
         "fleet": LazyCommand(f"{__name__}.fleet:command", "Compare the accepted calibrations of a fleet's robots."),
         "verify": LazyCommand(f"{__name__}.verify:command", "Check on the robot what was bundled, and what is in use."),
@@ -32,7 +33,7 @@ ADDON = Addon(
     },
     stages={
         "deliver": AddonStage(
-            f"{__name__}.bundle:deliver_stage",
+            f"{__name__}.deliver:deliver_stage",
             section="delivery",
             result=DocumentSection(
                 f"{__name__}.results:Delivered", "The bundle for the robot, where calibration.yml asks for one."

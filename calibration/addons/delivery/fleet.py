@@ -15,7 +15,7 @@ from calibration.addons.delivery.checking import SECONDS_OF_DAY
 from calibration.addons.delivery.destinations import DeliveryFolder, FetchedBundle, fetch_bundle
 from calibration.base import CalibrationError, ExitCode, InputError
 from calibration.base.records import field, record, result
-from calibration.ci.execution.sizes import Seconds
+from calibration.ci.execution.job import Seconds
 from calibration.ci.git import Repository
 from calibration.ci.pages.charts import heat_map
 from calibration.ci.pages.html import Html, bullets, figure, page, section, verdict_line

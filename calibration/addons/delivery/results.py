@@ -6,7 +6,7 @@ from typing import Annotated
 from calibration.addons.delivery.manifest import SystemLeftOut, Version
 from calibration.base import count_of
 from calibration.base.records import UNIQUE, field, length, matching, record, result
-from calibration.ci.report.results_json import StageResult
+from calibration.ci.report.report import StageResult
 
 KEY_VARIABLE = "CALIBRATION_SIGNING_KEY"
 """Environment variable with the private key."""

@@ -24,7 +24,7 @@ from calibration.addons.delivery.manifest import BundledSystem, Manifest, Refuse
 from calibration.addons.delivery.results import VerifyResults
 from calibration.base import ExitCode, InputError, did_you_mean, one_line, read_bytes, write_atomically
 from calibration.base.records import Misfit, Place, between, field, read_as, record
-from calibration.ci.execution.sizes import Seconds
+from calibration.ci.execution.job import Seconds
 from calibration.ci.report import FILES, Lines, Outcome, Report, Table, publish, remove_results, verdict_of
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import chosen, record_options

@@ -17,8 +17,7 @@ from typing import Annotated, Literal, cast
 import numpy as np
 
 from calibration.addons.guard.features import REFERENCE_FILE, KeptCamera, find_features, read_reference
-from calibration.addons.guard.fixed_check import check_fixed_camera
-from calibration.addons.guard.keeping import accepted_camera, kept_camera
+from calibration.addons.guard.fixed_check import accepted_camera, check_fixed_camera, kept_camera
 from calibration.addons.guard.lerobot_episodes import Episode, EpisodeVideo, SoughtFrame, episodes_of, frames_at
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.recording import CameraImages

@@ -10,7 +10,7 @@ from calibration.base.records import computed, field, result
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, End, JobOutcome
 from calibration.ci.report import Block, Code, Lines, Outcome, Report, Table, Verdict, verdict_of
 from calibration.ci.report.junit import CaseOutcome, ErrorCode, RepeatedFailure, Tally, read_test_report
-from calibration.ci.report.results_json import StageResult
+from calibration.ci.report.report import StageResult
 from calibration.ci.workflow.runner import Annotation, Level
 
 MAX_REPORT_BYTES = 100 * 1024 * 1024

@@ -4,8 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base.flake_rate import MAX_REPETITIONS
 from calibration.base.records import ByName, Misfit, at_least, between, field, length, matching, record
+from calibration.base.verdict import MAX_REPETITIONS
 from calibration.ci.execution.job import NETWORK_HELP, OUTPUT, Artifact, Container, Job, Mount, Network, fill
 from calibration.ci.execution.ros import ROS_HELP, Ros, with_ros
 

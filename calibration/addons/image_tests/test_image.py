@@ -22,8 +22,8 @@ from calibration.addons.image_tests.results import (
 )
 from calibration.addons.image_tests.settings import ImageTests
 from calibration.base import ExitCode, InputError, count_of
-from calibration.base.flake_rate import runs_show
 from calibration.base.records import field, flat_fields, read, record
+from calibration.base.verdict import runs_show
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.job import with_secrets
 from calibration.ci.execution.tasks import Task, run_tasks

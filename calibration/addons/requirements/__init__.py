@@ -2,7 +2,7 @@
 
 - ``settings``: the section ``requirements`` of calibration.yml;
 - ``message_fields``: fields of a message, read from its bytes;
-- ``requirement``: the state machine that every requirement is; ``topics``: those of one topic;
+- ``requirement``: the state machine that every requirement is, and those of one topic;
 - ``hpl``, ``predicates``, ``patterns``: properties in HPL;
 - ``judging``: a bag is read once, and each requirement fed with the messages of its topics; those of frames, nodes
   and services;

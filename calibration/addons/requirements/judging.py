@@ -10,9 +10,16 @@ from pathlib import Path
 from calibration.addons.requirements.hpl import parse_property
 from calibration.addons.requirements.message_fields import FieldReader, FieldTree, MessageError, merged_trees
 from calibration.addons.requirements.patterns import HplRequirement
-from calibration.addons.requirements.requirement import NS_PER_S, Judgement, Message, Requirement, duration
+from calibration.addons.requirements.requirement import (
+    NS_PER_S,
+    Judgement,
+    Message,
+    Requirement,
+    duration,
+    nanoseconds,
+    topic_requirements,
+)
 from calibration.addons.requirements.settings import MAX_REQUIREMENTS, FrameRequirements, RequirementSettings
-from calibration.addons.requirements.topics import nanoseconds, topic_requirements
 from calibration.base import InputError
 from calibration.robot.importing.bags.bag import Bag, open_bag
 

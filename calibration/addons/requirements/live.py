@@ -19,9 +19,8 @@ import numpy as np
 from calibration.addons.requirements.hpl import parse_property
 from calibration.addons.requirements.message_fields import FieldTree
 from calibration.addons.requirements.patterns import HplRequirement
-from calibration.addons.requirements.requirement import Message, Requirement
+from calibration.addons.requirements.requirement import FieldValue, Message, Requirement
 from calibration.addons.requirements.settings import RequirementSettings
-from calibration.addons.requirements.topics import FieldValue
 from calibration.base import InputError, one_line, parse_json, shorten
 from calibration.base.optional import optional
 from calibration.ci.execution.supervision import BeginWatch

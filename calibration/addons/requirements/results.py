@@ -7,7 +7,7 @@ from calibration.addons.requirements.requirement import Judgement, Requirement
 from calibration.base import line_of, shorten
 from calibration.base.records import computed, field, result
 from calibration.ci.report import Outcome, Report, Table, count_of, verdict_of
-from calibration.ci.report.results_json import StageResult
+from calibration.ci.report.report import StageResult
 from calibration.ci.workflow.runner import Annotation, Level
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from calibration.base.records import Converted, Misfit, Place, above, field, length, matching, one_of, record
-from calibration.ci.execution.sizes import Seconds
+from calibration.ci.execution.job import Seconds
 
 MAX_REQUIREMENTS = 1000
 _TOPIC = matching(r"/[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*", "the name of a topic, such as /scan")

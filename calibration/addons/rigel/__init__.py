@@ -12,8 +12,6 @@ from calibration.base.addons import Addon, LazyCommand
 
 ADDON = Addon(
     commands={
-        "import-rigelfile": LazyCommand(
-            f"{__name__}.import_rigelfile:command", "Convert a Rigelfile to calibration.yml."
-        )
+        "import-rigelfile": LazyCommand(f"{__name__}.conversion:command", "Convert a Rigelfile to calibration.yml.")
     }
 )

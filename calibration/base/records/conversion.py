@@ -10,22 +10,7 @@ from types import NoneType, UnionType
 from typing import Any, TypeVar
 
 from calibration.base.errors import CalibrationError, InputError
-from calibration.base.records.declaration import (
-    ByName,
-    Constraint,
-    Converted,
-    Declared,
-    Misfit,
-    Place,
-    fields_of,
-    flat_fields,
-    flat_record,
-    is_number,
-    is_record,
-    settings_of,
-    shown,
-    unknown_key,
-)
+from calibration.base.records import declaration
 from calibration.base.text import did_you_mean
 
 _PLAIN_TYPES = frozenset({str, int, float, bool, type(None)})
@@ -41,9 +26,9 @@ def document_of(record: Any, *, defaults: bool = True) -> dict[str, Any]:
         defaults: whether values that are the default of their field are written.
     """
     kind: Any = type(record)
-    nulls = settings_of(kind).nulls
+    nulls = declaration.settings_of(kind).nulls
     document: dict[str, Any] = {}
-    for each in fields_of(kind):
+    for each in declaration.fields_of(kind):
         value = getattr(record, each.name)
         if not defaults and not each.flat and value == each.default:
             continue
@@ -71,7 +56,7 @@ def value_of(value: Any, *, defaults: bool = True) -> Any:
         return None
     if kind in _PLAIN_TYPES:  # nearly all are
         return value
-    if is_record(kind):
+    if declaration.is_record(kind):
         return document_of(value, defaults=defaults)
     if isinstance(value, Mapping):
         return {key: value_of(each, defaults=defaults) for key, each in value.items()}
@@ -112,7 +97,7 @@ def read(
     Raises:
         InputError: one line that names the file, the key, what was found and what was expected.
     """
-    found: _Record = _read_record(kind, document, Place(where, folder=folder or Path(), error=error), more)
+    found: _Record = _read_record(kind, document, declaration.Place(where, folder=folder or Path(), error=error), more)
     return found
 
 
@@ -128,10 +113,10 @@ def changed(record: _Record, document: Mapping[str, Any], where: str, folder: Pa
     Raises:
         InputError: as `read`.
     """
-    place = Place(where, folder=folder or Path())
+    place = declaration.Place(where, folder=folder or Path())
     values: dict[str, Any] = {}
     kind: Any = type(record)
-    for each in fields_of(kind):
+    for each in declaration.fields_of(kind):
         if each.flat:
             values[each.name] = changed(getattr(record, each.name), document, where, folder)
         elif each.key in document and not each.computed:
@@ -140,7 +125,7 @@ def changed(record: _Record, document: Mapping[str, Any], where: str, folder: Pa
     return made
 
 
-def read_as(kind: Any, value: object, place: Place) -> Any:
+def read_as(kind: Any, value: object, place: declaration.Place) -> Any:
     """Read a value as any type that a field of a record may have.
 
     Raises:
@@ -148,10 +133,10 @@ def read_as(kind: Any, value: object, place: Place) -> Any:
     """
     base, extras = _split_annotated(kind)
     for extra in extras:
-        if isinstance(extra, Converted):
+        if isinstance(extra, declaration.Converted):
             made = extra.make(read_as(extra.accepts, value, place), place)
             return _check_constraints(made, value, base, extras, place)
-        if isinstance(extra, ByName):
+        if isinstance(extra, declaration.ByName):
             return _by_name(typing.get_args(base)[0], value, extra, place)
     return _check_constraints(_read_unchecked(base, value, extras, place), value, base, extras, place)
 
@@ -165,13 +150,13 @@ def _split_annotated(kind: Any) -> tuple[Any, tuple[Any, ...]]:
     return kind, ()
 
 
-def _read_unchecked(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+def _read_unchecked(kind: Any, value: object, extras: tuple[Any, ...], place: declaration.Place) -> Any:
     origin = typing.get_origin(kind)
     if origin in (typing.Union, UnionType):
         return _read_union(kind, value, extras, place)
     if not fits(kind, value):
         raise _type_error(value, kind, extras, place)
-    if is_record(kind):
+    if declaration.is_record(kind):
         return _read_record(kind, value, place, {})
     if origin is tuple:
         item = typing.get_args(kind)[0]
@@ -187,28 +172,30 @@ def _read_unchecked(kind: Any, value: object, extras: tuple[Any, ...], place: Pl
     return kind(value) if kind in (int, float) else value
 
 
-def _read_key(kind: Any, key: object, place: Place) -> Any:
+def _read_key(kind: Any, key: object, place: declaration.Place) -> Any:
     try:
         return read_as(kind, key, place)
     except CalibrationError:
         if typing.get_origin(kind) is typing.Literal:
-            raise place.fault(unknown_key(key, typing.get_args(kind))) from None
-        expected = ", ".join(each.expected for each in _split_annotated(kind)[1] if isinstance(each, Constraint))
-        raise place.fault(f"found the key {shown(key)}, expected {expected or 'a text'}") from None
+            raise place.fault(declaration.unknown_key(key, typing.get_args(kind))) from None
+        expected = ", ".join(
+            each.expected for each in _split_annotated(kind)[1] if isinstance(each, declaration.Constraint)
+        )
+        raise place.fault(f"found the key {declaration.shown(key)}, expected {expected or 'a text'}") from None
 
 
-def _check_constraints(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> Any:
+def _check_constraints(result: Any, value: object, kind: Any, extras: tuple[Any, ...], place: declaration.Place) -> Any:
     """Return the result after checking all constraints."""
     for extra in extras:
-        if isinstance(extra, Constraint) and not extra.holds(result):
+        if isinstance(extra, declaration.Constraint) and not extra.holds(result):
             if extra.secret:
                 raise place.fault(f"expected {extra.expected}")
             raise _type_error(value, kind, extras, place)
     return result
 
 
-def _type_error(value: object, kind: Any, extras: tuple[Any, ...], place: Place) -> CalibrationError:
-    limits = [each for each in extras if isinstance(each, Constraint)]
+def _type_error(value: object, kind: Any, extras: tuple[Any, ...], place: declaration.Place) -> CalibrationError:
+    limits = [each for each in extras if isinstance(each, declaration.Constraint)]
     whole = next((each.expected for each in limits if each.whole), None)
     expected = whole or " ".join([expectation(kind), *(each.expected for each in limits)])
     if any(each.secret for each in limits):
@@ -221,7 +208,7 @@ def _type_error(value: object, kind: Any, extras: tuple[Any, ...], place: Place)
     return place.unexpected(value, expected + hint)
 
 
-def _read_union(kind: Any, value: object, extras: tuple[Any, ...], place: Place) -> Any:
+def _read_union(kind: Any, value: object, extras: tuple[Any, ...], place: declaration.Place) -> Any:
     members = [each for each in typing.get_args(kind) if each is not NoneType]
     if len(members) > 1:
         fitting = [each for each in members if fits(each, value)]
@@ -238,21 +225,21 @@ def _is_literal_of(kind: Any, value: object) -> bool:
 def fits(kind: Any, value: object) -> bool:
     """Return whether a value has the form that a type is read from; its content may still be invalid."""
     base, extras = _split_annotated(kind)
-    if (other := next((each for each in extras if isinstance(each, Converted)), None)) is not None:
+    if (other := next((each for each in extras if isinstance(each, declaration.Converted)), None)) is not None:
         return fits(other.accepts, value)
     origin = typing.get_origin(base)
     if origin in (typing.Union, UnionType):
         return any(fits(each, value) for each in typing.get_args(base))
     if origin is typing.Literal:
         return any(type(value) is type(each) and value == each for each in typing.get_args(base))
-    if is_record(base) or base is dict or any(isinstance(each, ByName) for each in extras):
+    if declaration.is_record(base) or base is dict or any(isinstance(each, declaration.ByName) for each in extras):
         return isinstance(value, dict)
     if origin is tuple or base is list:
         return isinstance(value, list)
     if origin is not None:
         return isinstance(value, dict)
     if base in (int, float):
-        return is_number(value) and (base is float or value == int(typing.cast("float", value)))
+        return declaration.is_number(value) and (base is float or value == int(typing.cast("float", value)))
     return value != "" and isinstance(value, str) if base is Path else isinstance(value, base)
 
 
@@ -260,17 +247,17 @@ def expectation(kind: Any) -> str:
     """Describe the expected value of a type for a message: ``a number``."""
     base, extras = _split_annotated(kind)
     for extra in extras:
-        if isinstance(extra, Converted):
+        if isinstance(extra, declaration.Converted):
             return expectation(extra.accepts)
-        if isinstance(extra, Constraint) and extra.whole:
+        if isinstance(extra, declaration.Constraint) and extra.whole:
             return extra.expected
     origin = typing.get_origin(base)
     if origin in (typing.Union, UnionType):
         return _join_with_or([expectation(each) for each in typing.get_args(base) if each is not NoneType])
     if origin is typing.Literal:
         return _join_with_or([str(each) for each in typing.get_args(base)])
-    if is_record(base):
-        return f"keys: {', '.join(flat_fields(base))}"
+    if declaration.is_record(base):
+        return f"keys: {', '.join(declaration.flat_fields(base))}"
     return _NOUN_OF_TYPE.get(base) or ("a list" if origin is tuple or base is list else "keys and values")
 
 
@@ -279,50 +266,50 @@ def _join_with_or(texts: list[str]) -> str:
     return " or ".join(filter(None, (", ".join(texts[:-1]), texts[-1])))
 
 
-def _by_name(kind: Any, value: object, extra: ByName, place: Place) -> tuple[Any, ...]:
+def _by_name(kind: Any, value: object, extra: declaration.ByName, place: declaration.Place) -> tuple[Any, ...]:
     if not isinstance(value, dict) or not value:
         raise place.unexpected(value, "a mapping of names, at least one")
     for name in value:
         if not isinstance(name, str) or (extra.names and not extra.names.holds(name)):
             expected = extra.names.expected if extra.names else "a text"
             hint = "" if isinstance(name, str) else ": put it in quotes"
-            raise place.fault(f"found the name {shown(name)}, expected {expected}{hint}")
+            raise place.fault(f"found the name {declaration.shown(name)}, expected {expected}{hint}")
     return tuple(_read_record(kind, each, place.below(name), {"name": name}) for name, each in value.items())
 
 
-def _read_record(kind: Any, document: object, place: Place, more: Mapping[str, Any]) -> Any:
+def _read_record(kind: Any, document: object, place: declaration.Place, more: Mapping[str, Any]) -> Any:
     if not isinstance(document, dict):
         raise place.unexpected(document, expectation(kind))
-    known = flat_fields(kind)
+    known = declaration.flat_fields(kind)
     for key in document:
-        if key not in known and settings_of(kind).unknown == "refuse":
-            raise place.fault(unknown_key(key, list(known)))
+        if key not in known and declaration.settings_of(kind).unknown == "refuse":
+            raise place.fault(declaration.unknown_key(key, list(known)))
     _check_rules(kind, document, place)
     return _build_record(kind, document, place, more)
 
 
-def _check_rules(kind: Any, document: Mapping[str, Any], place: Place) -> None:
-    nulls = settings_of(kind).nulls
+def _check_rules(kind: Any, document: Mapping[str, Any], place: declaration.Place) -> None:
+    nulls = declaration.settings_of(kind).nulls
     keys = [key for key, value in document.items() if value is not None or not nulls]
-    for rule in settings_of(kind).rules:
+    for rule in declaration.settings_of(kind).rules:
         if (fault := rule.fault(keys)) is not None:
             raise place.fault(fault)
 
 
-def _may_be_null(each: Declared) -> bool:
+def _may_be_null(each: declaration.Declared) -> bool:
     return not each.required or NoneType in typing.get_args(each.type)
 
 
-def _build_record(kind: Any, document: Mapping[str, Any], place: Place, more: Mapping[str, Any]) -> Any:
+def _build_record(kind: Any, document: Mapping[str, Any], place: declaration.Place, more: Mapping[str, Any]) -> Any:
     """Build the record from those keys of the document that are its own."""
     values = dict(more)
-    nulls = settings_of(kind).nulls
-    for each in fields_of(kind):
+    nulls = declaration.settings_of(kind).nulls
+    for each in declaration.fields_of(kind):
         if each.computed:
             continue
         if each.flat:
-            flat, converted = flat_record(each)
-            if each.default is None and not flat_fields(flat).keys() & document.keys():
+            flat, converted = declaration.flat_record(each)
+            if each.default is None and not declaration.flat_fields(flat).keys() & document.keys():
                 continue
             _check_rules(flat, document, place)
             made = _build_record(flat, document, place, {})
@@ -337,5 +324,5 @@ def _build_record(kind: Any, document: Mapping[str, Any], place: Place, more: Ma
             raise place.fault(f"missing key '{each.key}'")
     try:
         return kind(**values)
-    except Misfit as misfit:
+    except declaration.Misfit as misfit:
         raise place.misfit(misfit) from None

@@ -9,17 +9,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any
 
+from calibration.base.records import declaration
 from calibration.base.records.conversion import value_of
-from calibration.base.records.declaration import (
-    ByName,
-    Constraint,
-    Converted,
-    Declared,
-    fields_of,
-    flat_record,
-    is_record,
-    settings_of,
-)
 
 SCHEMA_DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _SCHEMA_OF_TYPE = {
@@ -92,7 +83,7 @@ def _refer_to_shared(node: Any, shared: Mapping[str, str], *, inside: bool = Fal
 
 def _schema_of(kind: Any) -> dict[str, Any]:
     """Return the schema, in which records are still marked with their names."""
-    if is_record(kind):
+    if declaration.is_record(kind):
         return _of_record(kind)
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
@@ -111,8 +102,8 @@ def _schema_of(kind: Any) -> dict[str, Any]:
 
 
 def _apply_annotations(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
-    special = next((each for each in extras if isinstance(each, Converted | ByName)), None)
-    if isinstance(special, ByName):
+    special = next((each for each in extras if isinstance(each, declaration.Converted | declaration.ByName)), None)
+    if isinstance(special, declaration.ByName):
         schema: dict[str, Any] = {"type": "object", "minProperties": 1}
         schema |= {"propertyNames": dict(special.names.schema)} if special.names else {}
         return schema | {"additionalProperties": _schema_of(typing.get_args(base)[0])}
@@ -120,7 +111,7 @@ def _apply_annotations(base: Any, extras: tuple[Any, ...]) -> dict[str, Any]:
         return _schema_of(special.described_as or special.accepts)
     schema = _schema_of(base)
     for extra in extras:
-        if isinstance(extra, Constraint):
+        if isinstance(extra, declaration.Constraint):
             schema |= _length_keywords(extra.schema, schema.get("type"))
     return schema
 
@@ -143,7 +134,7 @@ def _union_schema(members: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _of_record(kind: Any, head: Any = None) -> dict[str, Any]:
-    settings = settings_of(kind)
+    settings = declaration.settings_of(kind)
     schema: dict[str, Any] = {
         _RECORD_KEY: kind.__name__,
         "description": " ".join((kind.__doc__ or "").split("\n\n")[0].split()),
@@ -166,18 +157,20 @@ def _collect_properties(
     kind: Any, properties: dict[str, Any], required: list[str], rules: list[Mapping[str, Any]]
 ) -> None:
     """Return the properties of a record, including those of flat records."""
-    rules += [rule.schema for rule in settings_of(kind).rules]
-    nulls = settings_of(kind).nulls
-    for each in fields_of(kind):
+    rules += [rule.schema for rule in declaration.settings_of(kind).rules]
+    nulls = declaration.settings_of(kind).nulls
+    for each in declaration.fields_of(kind):
         if each.flat:
-            _collect_properties(flat_record(each)[0], properties, [] if each.default is None else required, rules)
+            _collect_properties(
+                declaration.flat_record(each)[0], properties, [] if each.default is None else required, rules
+            )
             continue
         if each.required and each.key not in properties:
             required.append(each.key)
         properties[each.key] = _property_schema(each, nulls)
 
 
-def _property_schema(each: Declared, nulls: bool) -> dict[str, Any]:
+def _property_schema(each: declaration.Declared, nulls: bool) -> dict[str, Any]:
     schema = _schema_of(each.type)
     if nulls and not each.omitted and NoneType in typing.get_args(each.type):
         schema = _union_schema([schema, {"type": "null"}])

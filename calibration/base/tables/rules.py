@@ -27,15 +27,7 @@ from typing import Annotated, Any, TypeAlias
 
 from calibration.base.errors import InputError
 from calibration.base.records import Constraint, Converted, Misfit, Place, at_least, field, length, read, record
-from calibration.base.tables.table import (
-    Aggregate,
-    EveryRow,
-    IndexedRow,
-    LabelledRow,
-    Target,
-    parse_aggregate,
-    parse_row,
-)
+from calibration.base.tables import table
 from calibration.base.text import number_text, parse_number
 
 
@@ -110,7 +102,7 @@ class LimitRule:
     """Numbers of a column must be within limits."""
 
     column: str
-    target: Target
+    target: table.Target
     limits: Limits
 
     def __str__(self) -> str:
@@ -122,7 +114,7 @@ class TextRule:
     """Texts of a column must contain, not contain, or fully match a text; None means no condition."""
 
     column: str
-    target: Target
+    target: table.Target
     contains: str | None = None
     does_not_contain: str | None = None
     matches: re.Pattern[str] | None = None
@@ -153,7 +145,7 @@ class ChangeRule:
     """Numbers of a column must not deviate from the baseline by more than allowed; None means any deviation."""
 
     column: str
-    target: Target
+    target: table.Target
     increase: Allowance | None = None
     decrease: Allowance | None = None
 
@@ -232,10 +224,10 @@ class RuleEntry:
     """A rule in a document: for one row or aggregate, for every row, or for both."""
 
     column: Name = field("Column of the rule.")
-    row: Annotated[LabelledRow | IndexedRow, Converted(Name, _with_place(parse_row))] | None = field(
+    row: Annotated[table.LabelledRow | table.IndexedRow, Converted(Name, _with_place(table.parse_row))] | None = field(
         "The row that is judged: its label, first, last or index:3.", default=None
     )
-    aggregate: Annotated[Aggregate, Converted(Name, _with_place(parse_aggregate))] | None = field(
+    aggregate: Annotated[table.Aggregate, Converted(Name, _with_place(table.parse_aggregate))] | None = field(
         "Judge one number made from every row: max, min, mean, median or p95.", default=None
     )
     every: bool = field("Whether every row is judged; so it is without row and aggregate.", default=False)
@@ -259,7 +251,7 @@ class RuleEntry:
     def __post_init__(self) -> None:
         """Reject keys that contradict each other, and a rule without a limit."""
         numeric, texts = self._given_keys(*_LIMIT_KEYS, *_EVERY_KEYS, *_CHANGE_KEYS), self._given_keys(*_TEXT_KEYS)
-        targets = [target for target in (self.row, self.aggregate, EveryRow() if self.every else None) if target]
+        targets = [target for target in (self.row, self.aggregate, table.EveryRow() if self.every else None) if target]
         chosen = self._given_keys("row", "aggregate")
         fault = ""
         if len(targets) > 1:
@@ -285,12 +277,14 @@ class RuleEntry:
     @property
     def rules(self) -> tuple[Rule, ...]:
         """Return the rules that the entry defines."""
-        target: Target = self.row or self.aggregate or EveryRow()
+        target: table.Target = self.row or self.aggregate or table.EveryRow()
         rules: list[Rule] = []
         if self._given_keys(*_LIMIT_KEYS):
             rules.append(LimitRule(self.column, target, Limits(self.min, self.max, self.exclusive)))
         if self._given_keys(*_EVERY_KEYS):
-            rules.append(LimitRule(self.column, EveryRow(), Limits(self.every_min, self.every_max, self.exclusive)))
+            rules.append(
+                LimitRule(self.column, table.EveryRow(), Limits(self.every_min, self.every_max, self.exclusive))
+            )
         if self._given_keys(*_TEXT_KEYS):
             rules.append(TextRule(self.column, target, self.contains, self.does_not_contain, self.matches))
         if self._given_keys(*_CHANGE_KEYS):
@@ -360,7 +354,7 @@ def checked(rule_set: RuleSet, where: str) -> RuleSet:
 
 def _refuse_contradictions(rules: Sequence[Rule], where: str) -> None:
     """Raise :class:`InputError` if limits for the same cells exclude every value."""
-    limits: dict[tuple[str, Target], list[Limits]] = {}
+    limits: dict[tuple[str, table.Target], list[Limits]] = {}
     for rule in rules:
         if isinstance(rule, TextRule) and rule.contradicts_itself():
             raise InputError(f"{where}: contains and does-not-contain contradict each other: {rule}")

@@ -1,10 +1,10 @@
 """Execution of tasks, independent of calibration.
 
-- ``tasks``: tasks, the loop that runs them, and results that survive an interruption;
-- ``backends``: registry of backends: ``embedded`` (functions in processes of this machine), ``docker`` and those of
-  add-ons (jobs of containers);
-- ``job``, ``outcome``: a job of containers, and its result; ``sizes``, ``job_check``: parsing and validation of a job's
-  description; ``ros``: what ROS needs beside its containers;
+- ``tasks``: tasks, the loop that runs them, functions in processes of this machine, and results that survive an
+  interruption;
+- ``backends``: registry of backends for jobs of containers: ``docker``, and those of add-ons;
+- ``job``, ``outcome``: a job of containers, with its sizes and times, and its result; ``job_check``: its validation;
+  ``ros``: what ROS needs beside its containers;
 - ``supervision``: a job's containers from the first start to the verdict; ``artifacts``, ``extraction``: copying their
   artifacts; their logs are in `ci.workflow.streams`.
 """

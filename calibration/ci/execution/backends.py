@@ -58,7 +58,7 @@ class Leftovers(AbstractContextManager[Any], Protocol[Left]):
 
 
 class Backend(Protocol[Work, Outcome]):
-    """Runs work of one kind: functions in processes (`calibration.ci.execution.embedded`), or jobs of containers."""
+    """Runs work of one kind: functions in processes (`calibration.ci.execution.tasks`), or jobs of containers."""
 
     def run(self, work: Sequence[Work], /, folder: Path, workers: int | None = None) -> Generator[tuple[int, Outcome]]:
         """Run work; yield index and outcome of each item, in the order of completion.

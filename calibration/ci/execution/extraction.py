@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import IO, cast
 
 from calibration.base import CalibrationError, ExitCode, InfrastructureError, one_line, shorten, writing
-from calibration.ci.execution.sizes import describe_bytes
+from calibration.ci.execution.job import describe_bytes
 
 MAX_FOLDER_DEPTH = 64
 """Limit of nested folders."""

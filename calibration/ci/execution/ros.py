@@ -9,9 +9,8 @@ from typing import Annotated, Literal
 
 from calibration.base import InputError
 from calibration.base.records import Converted, between, field, matching, record
-from calibration.ci.execution.job import Artifact, Container, Job, Readiness
+from calibration.ci.execution.job import Artifact, Bytes, Container, Job, Readiness, describe_bytes
 from calibration.ci.execution.outcome import End, JobOutcome
-from calibration.ci.execution.sizes import Bytes, describe_bytes
 
 RosVersion = Literal["none", "1", "2"]
 Ros = Annotated[RosVersion, Converted(Literal["none", "1", "2", 1, 2], lambda version, _: str(version))]

@@ -10,9 +10,8 @@ from typing import Any, Literal
 from urllib.parse import quote
 
 from calibration.base import InputError, escape_markdown, markdown_table
-from calibration.ci.github.api import API_URL, GitHubApi, MissingError
-from calibration.ci.github.service import GitHubEvent
-from calibration.ci.report.results_json import Brief
+from calibration.ci.github.service import API_URL, GitHubApi, GitHubEvent, MissingError
+from calibration.ci.report.report import Brief
 
 MAX_COMMENT_CHARACTERS = 65_536
 """GitHub's limit of characters in a comment."""

@@ -17,10 +17,9 @@ from calibration.ci.image.builders import Program, build_and_push, build_by_buil
 from calibration.ci.image.context import KEY_LABEL, build_labels, key_tag
 from calibration.ci.image.plan import Base, Plan, fetch, local_image, make_plan
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote, push_image
 from calibration.ci.registries.reference import DOCKER_HUB, Credentials, parse_reference
-from calibration.ci.registries.registry import RegistryClient
+from calibration.ci.registries.registry import RegistryClient, registry_login
 from calibration.ci.report import Code, Outcome, Report, Table, verdict_of
 from calibration.ci.workflow import Annotation, Runner, group, stop_commands
 from calibration.ci.workflow.streams import Advance, progress

@@ -28,9 +28,8 @@ from calibration.ci.image.dockerfile import (
     source_path,
 )
 from calibration.ci.image.specification import ImageSpecification, OwnDockerfile, Recipe
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import Credentials, Reference, RegistrySettings, parse_reference
-from calibration.ci.registries.registry import RegistryClient
+from calibration.ci.registries.registry import RegistryClient, registry_login
 from calibration.ci.workflow import Runner, group, stop_commands
 from calibration.ci.workflow.streams import progress
 

@@ -11,6 +11,7 @@ from typing import Literal
 from calibration.base import aligned, code_block, escape_markdown, markdown_table, one_line
 from calibration.base.verdict import Verdict
 
+RESULTS_FILE = "results.json"
 MOST_LINES = 1000
 """Default limit of lines or rows of a block; files of results contain all."""
 BADGE_FILE = "badge.svg"
@@ -66,7 +67,7 @@ class Lines(Block):
     lines: tuple[str, ...]
     most: int = MOST_LINES
     """Maximum number of lines that are shown."""
-    rest: str = "results.json"
+    rest: str = RESULTS_FILE
     """File that contains the remaining lines."""
 
     def plain(self) -> str:
@@ -101,7 +102,7 @@ class Table(Block):
     rows: tuple[tuple[str, ...], ...]
     most_rows: int = MOST_LINES
     """Maximum number of rows in the log and the summary; CSV contains all."""
-    rest: str = "results.json"
+    rest: str = RESULTS_FILE
     """File that contains the remaining rows."""
     most_columns: int | None = None
     """Maximum number of columns beside the first in the log; the remaining ones follow below."""

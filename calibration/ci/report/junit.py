@@ -12,11 +12,9 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from calibration.base import ExitCode, InputError, one_line, shorten, visible
 from calibration.base.documents import xml_elements
-from calibration.base.flake_rate import FlakeRate
 from calibration.base.records import Converted, field, result
-from calibration.base.verdict import Check, Verdict, verdict_of
-from calibration.ci.report.blocks import MOST_LINES, cut
-from calibration.ci.report.results_json import RESULTS_FILE
+from calibration.base.verdict import Check, FlakeRate, Verdict, verdict_of
+from calibration.ci.report.blocks import MOST_LINES, RESULTS_FILE, cut
 
 ErrorCode = Annotated[ExitCode, Converted(Literal[2, 3], lambda code, _place: ExitCode(code))]
 """Exit code of work that failed because of bad input (2) or infrastructure (3), in results.json."""

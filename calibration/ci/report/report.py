@@ -1,24 +1,34 @@
-"""Report of a command: its verdict, results, outputs, annotations and text, and its publishing."""
+"""Report of a command: its verdict, results, outputs, annotations and text, its documents, and its publishing.
+
+results.json begins with the same keys for every command; a stage of an add-on has a result of its own in that of a run.
+comment.json is the content of a comment on a pull request, which a job with a token writes later.
+"""
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from dataclasses import field as dataclass_field
 from itertools import accumulate, takewhile
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Literal, TypeVar
 
-from calibration.base import ExitCode, InfrastructureError, escape_markdown, follow_no_links, one_line, write_atomically
-from calibration.base.verdict import Verdict
-from calibration.ci.report.blocks import MOST_LINES, Block, Lines, Table, cut
-from calibration.ci.report.junit import Outcome, junit_xml
-from calibration.ci.report.results_json import (
-    BRIEF_FILE,
-    RESULTS_FILE,
-    Brief,
-    BriefTable,
-    results_document,
-    results_text,
+from calibration.base import (
+    CalibrationError,
+    ExitCode,
+    InfrastructureError,
+    InputError,
+    escape_markdown,
+    follow_no_links,
+    one_line,
+    parse_json,
+    read_bytes,
+    write_atomically,
 )
+from calibration.base.records import computed, field, read, result, value_of
+from calibration.base.verdict import Verdict, verdict_of
+from calibration.ci.report.blocks import MOST_LINES, RESULTS_FILE, Block, Lines, Table, cut
+from calibration.ci.report.junit import Outcome, junit_xml
 from calibration.ci.workflow.runner import (
     Annotation,
     Level,
@@ -30,11 +40,138 @@ from calibration.ci.workflow.runner import (
     stop_commands,
 )
 
+_Record = TypeVar("_Record")
+SCHEMA_NUMBER: Literal[1] = 1
+"""Version of the format of results.json. Keys may be added; renaming one requires a new number."""
+MAX_RESULTS_BYTES = 64 * 1024**2
+"""Size limit of a results file that is read."""
 SUMMARY_FILE, JUNIT_FILE = "summary.md", "junit.xml"
 FILES = (RESULTS_FILE, SUMMARY_FILE, JUNIT_FILE)
 """Files of every report."""
 ROWS_IN_BRIEF, LINES_IN_BRIEF = 50, 10
 """Limits of the rows of a table, and of the lines of a block, in the brief report."""
+
+
+@result
+class Head:
+    """Keys at the beginning of every results.json."""
+
+    schema: Literal[1] = field("Version of this format; keys may be added, renaming one requires a new version.")
+    verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
+    reasons: tuple[str, ...] = field("Why the verdict is not pass, one line each, worst first.", default=())
+
+
+def results_document(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the document of results, a record or a mapping, with the head; keys of the results take precedence."""
+    head, document = value_of(Head(SCHEMA_NUMBER, verdict, tuple(reasons))), value_of(results)
+    return {**{key: value for key, value in head.items() if key not in document}, **document}
+
+
+def results_text(verdict: Verdict, results: Any, reasons: Sequence[str] = ()) -> str:
+    """Return the text of results.json; raises ``ValueError`` for a number that is not finite."""
+    return json.dumps(results_document(verdict, results, reasons), indent=1, allow_nan=False) + "\n"
+
+
+def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_Record, dict[str, Any]]:
+    """Read a results.json of this version or an older one: as a record, and as the parsed document.
+
+    Args:
+        kind: type of the record.
+        path: path of the file.
+        command: command that writes the file, for messages.
+
+    Raises:
+        InputError: it cannot be read, has another schema number, or a value has a wrong type.
+    """
+    try:
+        document = parse_json(read_bytes(path, MAX_RESULTS_BYTES, f"results of {command}"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: this is not a results file: {error}") from None
+    if isinstance(document, dict) and (found := document.get("schema", SCHEMA_NUMBER)) != SCHEMA_NUMBER:
+        expected = f"expected {SCHEMA_NUMBER}: another version has written it"
+        raise InputError(f"{path}: schema: found {found!r:.80}, {expected}")
+    return read(kind, document, str(path)), document
+
+
+def reasons_in(folder: Path) -> tuple[str, ...]:
+    """Return the reasons in the results of any command; empty if there are no valid results."""
+    try:
+        return read_results_file(Head, folder / RESULTS_FILE, "a command")[0].reasons
+    except CalibrationError:
+        return ()
+
+
+BRIEF_FILE = "comment.json"
+MAX_BRIEF_BYTES = 4 * 1024**2
+
+
+@result
+class BriefTable:
+    """A table of strings."""
+
+    columns: tuple[str, ...] = field("The header.")
+    rows: tuple[tuple[str, ...], ...] = field("Rows with as many cells as the header.", default=())
+
+
+@result(kw_only=True)
+class Brief:
+    """Brief results of a command."""
+
+    schema: Literal[1] = field("Version of this format.", default=1)
+    verdict: Verdict = field("Whether all requirements are met; undecided if the data cannot tell.")
+    sentence: str = field("The verdict's numbers in one line.")
+    about: str = field("What the results are of: the commit and its date.", default="")
+    reasons: tuple[str, ...] = field("Why the verdict is not pass, worst first.", default=())
+    tables: tuple[BriefTable, ...] = field("Tables of the comment.", default=())
+    lines: tuple[str, ...] = field("What else counts, one line each: findings, tests, time.", default=())
+
+    @property
+    def text(self) -> str:
+        """Content of the file."""
+        return json.dumps(value_of(self), indent=1) + "\n"
+
+
+def read_brief(path: Path) -> Brief:
+    """Read a brief report, which may be untrusted.
+
+    Raises:
+        InputError: it cannot be read, is too large, or is not a brief report.
+    """
+    try:
+        document = parse_json(read_bytes(path, MAX_BRIEF_BYTES, "a report in brief"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: this is not a report in brief: {error}") from None
+    brief = read(Brief, document, str(path))
+    for table in brief.tables:
+        if any(len(row) != len(table.columns) for row in table.rows):
+            raise InputError(f"{path}: tables: found a row that is not as long as its header")
+    return brief
+
+
+@result(kw_only=True)
+class StageResult(ABC):
+    """Result of a stage of an add-on, which is part of the verdict of a run."""
+
+    heading: ClassVar[str]
+    """What the stage did, for the report."""
+
+    folder: str = field("The folder with its own files, relative to the output folder.")
+    reasons: tuple[str, ...] = field("Reasons of a fail verdict.", default=())
+
+    @property
+    @computed()
+    def verdict(self) -> Verdict:
+        """Fail if there is a reason."""
+        return verdict_of(not self.reasons)
+
+    @property
+    @abstractmethod
+    def sentence(self) -> str:
+        """Return the result in a few words, for the verdict's line."""
+
+    def line(self, output: Path) -> str:
+        """Return its line of the report: where its own summary is in the output folder."""
+        return f"{self.heading}: {output / self.folder / 'summary.md'}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +185,9 @@ class Report:
     """Text after the verdict in the last line: ``2 violations in 4 checks of 1 table``."""
     results: Any
     """Content of results.json beside schema, verdict and reasons: a record, or a mapping."""
-    suites: Mapping[str, Sequence[Outcome]] = field(default_factory=dict)
+    suites: Mapping[str, Sequence[Outcome]] = dataclass_field(default_factory=dict)
     """Outcomes for JUnit, by suite."""
-    outputs: Mapping[str, OutputValue | None] = field(default_factory=dict)
+    outputs: Mapping[str, OutputValue | None] = dataclass_field(default_factory=dict)
     """Outputs of the step, beside the verdict and the paths of the files; None becomes an empty text."""
     reasons: tuple[str, ...] = ()
     """Reasons of a failure, one line each, worst first: listed first, and annotated as errors."""
@@ -66,13 +203,13 @@ class Report:
     """Annotated as warnings."""
     notes: tuple[str, ...] = ()
     """Annotated as notices."""
-    places: Mapping[str, tuple[Path, int]] = field(default_factory=dict)
+    places: Mapping[str, tuple[Path, int]] = dataclass_field(default_factory=dict)
     """File and line to which a reason refers, by the reason."""
     annotations: tuple[Annotation, ...] = ()
     """Further annotations, with a file and line or a title of their own."""
     blocks: tuple[Block, ...] = ()
     """Tables and lists, in order."""
-    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    files: Mapping[str, str | bytes] = dataclass_field(default_factory=dict)
     """Content of further files by name, such as tables as CSV and figures."""
 
     @property

@@ -33,12 +33,12 @@ from calibration.ci.execution.job import (
     Job,
     Mount,
     Network,
+    Seconds,
     fill,
     with_secrets,
 )
 from calibration.ci.execution.job_check import check_job
 from calibration.ci.execution.ros import ROS_HELP, Recording, Ros, with_recorder, with_ros
-from calibration.ci.execution.sizes import Seconds
 from calibration.engine.diagnosis.limits import Limit
 from calibration.pipeline.system import Text, Truth
 from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX

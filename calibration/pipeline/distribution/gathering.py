@@ -11,7 +11,7 @@ from calibration.base.records import result
 from calibration.ci.report import RESULTS_FILE, Lines, Report, Text, Verdict, reasons_in, verdict_of
 from calibration.ci.report.blocks import BADGE_FILE as BADGE
 from calibration.ci.report.blocks import verdict_badge
-from calibration.ci.report.results_json import BRIEF_FILE, Brief, StageResult, read_brief
+from calibration.ci.report.report import BRIEF_FILE, Brief, StageResult, read_brief
 from calibration.pipeline.distribution.jobs import JOB_SUCCESS, Cost, Needs, jobs_table, money
 from calibration.pipeline.distribution.plan import COLLECTED_DATA, STAGE_OF_JOB, JobCell, WorkflowPlan
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, nothing_yet

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Annotated, TypeAlias
 from calibration.base import ExitCode
 from calibration.base.addons import of_addons
 from calibration.base.arrays import Array
-from calibration.base.flake_rate import MAX_REPETITIONS
 from calibration.base.records import between, field, one_of, record, value_of
-from calibration.base.verdict import Verdict
+from calibration.base.verdict import MAX_REPETITIONS, Verdict
 from calibration.ci.report import FILES, Outcome, Report
-from calibration.ci.report.results_json import BRIEF_FILE
+from calibration.ci.report.report import BRIEF_FILE
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limit

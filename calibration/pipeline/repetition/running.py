@@ -8,12 +8,12 @@ from pathlib import Path
 
 from calibration.base import CalibrationError, ExitCode, count_of, one_line
 from calibration.base.addons import import_attribute, of_addons
-from calibration.base.flake_rate import MAX_REPETITIONS, runs_show
+from calibration.base.verdict import MAX_REPETITIONS, runs_show
 from calibration.ci.execution.tasks import locked
 from calibration.ci.pages.html import bullets, element, join, page, table, verdict_line
 from calibration.ci.report import FILES, Block, Lines, Outcome, Report, Table, remove_results, show
 from calibration.ci.report.blocks import BADGE_FILE, verdict_badge
-from calibration.ci.report.results_json import BRIEF_FILE
+from calibration.ci.report.report import BRIEF_FILE
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.runner import OutputValue
 from calibration.pipeline.repetition.repetition import (

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 from calibration.base import InfrastructureError
 from calibration.ci.image.building import build_image
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote
+from calibration.ci.registries.registry import registry_login
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.results import ImageResult
 from calibration.pipeline.stages.running import PipelineRun

@@ -16,7 +16,7 @@ from calibration.ci.execution.backends import ExecutionTarget, Sections
 from calibration.ci.execution.job import Container
 from calibration.ci.execution.tasks import locked
 from calibration.ci.report import Report, show
-from calibration.ci.report.results_json import StageResult
+from calibration.ci.report.report import StageResult
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from calibration.engine.baseline.quality import BaselineSettings

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.addons.analysis.analysers.code import CodeMetrics, grade_badge, grade_of, measure
+from calibration.addons.analysis.analysers.programs import CodeMetrics, grade_badge, grade_of, measure
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import CodeFinding
 from tests.repositories import write

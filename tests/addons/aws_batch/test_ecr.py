@@ -8,8 +8,8 @@ import pytest
 from calibration.addons.aws_batch.session import ecr_credentials
 from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import RegistrySettings, ecr_host, is_ecr
+from calibration.ci.registries.registry import registry_login
 from calibration.ci.workflow import Runner
 from tests.ci.registries.server import Reply, serve
 

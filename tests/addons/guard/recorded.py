@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.guard.clips import FOCAL_PX, Clip, Displacement, Disturbances, Room, as_recorded
 from calibration.addons.guard.features import REFERENCE_FILE, KeptCamera, Reference
-from calibration.addons.guard.keeping import kept_camera
+from calibration.addons.guard.fixed_check import kept_camera
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.labelling.detection import Image
 

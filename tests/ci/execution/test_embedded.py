@@ -15,8 +15,8 @@ import cv2
 import pytest
 
 from calibration.base import InfrastructureError, InputError
-from calibration.ci.execution import embedded
-from calibration.ci.execution.embedded import Embedded
+from calibration.ci.execution import tasks
+from calibration.ci.execution.tasks import Embedded
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -61,8 +61,8 @@ def test_the_size_of_a_batch_follows_the_pace(
     monkeypatch: pytest.MonkeyPatch, finished: int, seconds: float, batch: int
 ) -> None:
     now = iter([5.0, 5.0 + seconds])
-    monkeypatch.setattr(embedded, "time", SimpleNamespace(monotonic=lambda: next(now)))
-    pace = embedded._Pace(2)
+    monkeypatch.setattr(tasks, "time", SimpleNamespace(monotonic=lambda: next(now)))
+    pace = tasks._Pace(2)
     pace.finished = finished
     assert pace.batch_size() == batch
 
@@ -70,14 +70,14 @@ def test_the_size_of_a_batch_follows_the_pace(
 def test_the_pace_counts_functions_not_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     paces = []
 
-    class Kept(embedded._Pace):
+    class Kept(tasks._Pace):
         """Of which we know."""
 
         def __init__(self, workers: int) -> None:
             super().__init__(workers)
             paces.append(self)
 
-    monkeypatch.setattr(embedded, "_Pace", Kept)
+    monkeypatch.setattr(tasks, "_Pace", Kept)
     assert len(list(in_parallel(str, range(400), 2))) == 400
     assert [pace.finished for pace in paces] == [400]
 
@@ -134,8 +134,7 @@ def test_who_stops_early_leaves_no_process() -> None:
 def test_a_signal_while_a_worker_is_forked_is_not_lost(number: signal.Signals) -> None:
     program = f"""
 import os, signal
-from calibration.ci.execution import embedded
-from calibration.ci.execution.embedded import Embedded
+from calibration.ci.execution.tasks import Embedded
 from calibration.base.process import terminate_cleanly
 asked = []
 def ask():

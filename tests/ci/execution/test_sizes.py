@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base import InputError
-from calibration.ci.execution.sizes import describe_bytes, parse_bytes, parse_seconds
+from calibration.ci.execution.job import describe_bytes, parse_bytes, parse_seconds
 
 
 @pytest.mark.parametrize(

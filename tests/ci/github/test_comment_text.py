@@ -10,7 +10,7 @@ from markdown_it import MarkdownIt
 
 from calibration.base import InputError
 from calibration.ci.github.comments import MAX_ROWS_OF_TABLE, MAX_TEXT_CHARACTERS, comment_text
-from calibration.ci.report.results_json import Brief, BriefTable, read_brief
+from calibration.ci.report.report import Brief, BriefTable, read_brief
 
 LINKS = {"run": "https://github.com/me/robot/actions/runs/1"}
 TABLE = ("table", "thead", "tbody", "tr", "th", "td")

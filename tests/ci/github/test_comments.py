@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from calibration.base import InfrastructureError, InputError
-from calibration.ci.github.api import GitHubApi
 from calibration.ci.github.comments import MAX_COMMENT_CHARACTERS, Comments, Marker
+from calibration.ci.github.service import GitHubApi
 
 from .stand_in import FORBIDDEN, REPOSITORY, TOKEN, GitHub, github
 

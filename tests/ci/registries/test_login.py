@@ -8,8 +8,8 @@ import pytest
 
 from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.reference import Credentials, RegistrySettings
+from calibration.ci.registries.registry import registry_login
 from calibration.ci.workflow import Runner
 
 PASSWORD = "pl4nted-password"  # noqa: S105

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from calibration.base import InputError
-from calibration.ci.registries.login import registry_login
 from calibration.ci.registries.push import promote, push_image
 from calibration.ci.registries.reference import Credentials, RegistrySettings
-from calibration.ci.registries.registry import Manifest, RegistryClient
+from calibration.ci.registries.registry import Manifest, RegistryClient, registry_login
 from calibration.ci.workflow import Runner
 from tests.ci.registries.server import Reply, Request
 from tests.docker_engine import Registry

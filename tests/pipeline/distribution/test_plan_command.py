@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 
 from calibration.__main__ import main, run_action
-from calibration.ci.report.results_json import Brief, read_brief
+from calibration.ci.report.report import Brief, read_brief
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import SCHEMA_FILE, PipelineResults
 from tests.pipeline.distribution.test_gathering import ONE, TWO, result

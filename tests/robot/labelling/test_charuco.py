@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calibration.base import InputError
-from calibration.ci.execution.embedded import Embedded
+from calibration.ci.execution.tasks import Embedded
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob

@@ -1,9 +1,8 @@
 """Registry of the analysers: their files, their programs, and their findings in a common form."""
 
 from calibration.addons.analysis.analysers.analyser import Analyser
-from calibration.addons.analysis.analysers.code import Cppcheck, Lizard, Ruff, Shellcheck
-from calibration.addons.analysis.analysers.documents import Urdf, XmlFiles, Yamllint, Zizmor
-from calibration.addons.analysis.analysers.ros import RosChecks
+from calibration.addons.analysis.analysers.own_checks import RosChecks, Urdf, XmlFiles
+from calibration.addons.analysis.analysers.programs import Cppcheck, Lizard, Ruff, Shellcheck, Yamllint, Zizmor
 
 ANALYSERS: dict[str, Analyser] = {
     each.name: each

@@ -15,29 +15,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from calibration.addons.aws_batch import wire
 from calibration.addons.aws_batch.inside.script import Signs, script_of
 from calibration.addons.aws_batch.inside.watch import Watch, ended_neighbours
 from calibration.addons.aws_batch.session import Aws, with_retries
 from calibration.addons.aws_batch.store import Store, in_threads
-from calibration.addons.aws_batch.wire import (
-    ATTEMPT_VARIABLE,
-    FILES_FOLDER,
-    FIRST_VARIABLE,
-    INDEX_VARIABLE,
-    JOB_FOLDER,
-    JOBS_PER_FILE,
-    LOCATION_VARIABLE,
-    MAX_JOBS_BYTES,
-    MOUNTS_FOLDER,
-    OUTCOME_FILE,
-    REGION_VARIABLE,
-    Input,
-    Location,
-    TaskJob,
-    TaskOutcome,
-    outcome_document,
-    read_job,
-)
 from calibration.base import (
     CalibrationError,
     InfrastructureError,
@@ -53,7 +35,7 @@ from calibration.ci.execution.job import OUTPUT
 from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
 
 
-def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Path) -> None:
+def prepare(task: wire.TaskJob, store: Store, signs: Signs, mounts: Path, output: Path) -> None:
     """Prepare a job.
 
     Args:
@@ -80,7 +62,7 @@ def prepare(task: TaskJob, store: Store, signs: Signs, mounts: Path, output: Pat
         path.chmod(0o644)
 
 
-def _fill_volume(item: Input, store: Store, volume: Path) -> None:
+def _fill_volume(item: wire.Input, store: Store, volume: Path) -> None:
     where = f"volume {item.volume}: s3 object {item.key}"
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "input.tar")
@@ -165,8 +147,8 @@ def send_files(store: Store, files: Iterable[ArtifactFile], folder: Path, place:
 class Places:
     """Mount points of the task's volumes."""
 
-    job: Path = Path(JOB_FOLDER)
-    mounts: Path = Path(MOUNTS_FOLDER)
+    job: Path = Path(wire.JOB_FOLDER)
+    mounts: Path = Path(wire.MOUNTS_FOLDER)
     output: Path = Path(OUTPUT)
 
 
@@ -180,10 +162,10 @@ class ContainerTask:
             InputError: a variable is missing or wrong.
         """
         try:
-            self.location = Location.parse(variables[LOCATION_VARIABLE])
-            self.index = int(variables[FIRST_VARIABLE]) + int(variables.get(INDEX_VARIABLE, "0"))
-            self.attempt = int(variables.get(ATTEMPT_VARIABLE, "1"))
-            region = variables.get(REGION_VARIABLE) or variables["AWS_DEFAULT_REGION"]
+            self.location = wire.Location.parse(variables[wire.LOCATION_VARIABLE])
+            self.index = int(variables[wire.FIRST_VARIABLE]) + int(variables.get(wire.INDEX_VARIABLE, "0"))
+            self.attempt = int(variables.get(wire.ATTEMPT_VARIABLE, "1"))
+            region = variables.get(wire.REGION_VARIABLE) or variables["AWS_DEFAULT_REGION"]
         except (KeyError, ValueError) as error:
             raise InputError(f"the variables of the task are not those of a job: {error}") from None
         self.aws = Aws(region)
@@ -193,16 +175,16 @@ class ContainerTask:
         """Return the key of a result of this attempt."""
         return self.location.result_key(self.index, self.attempt, name)
 
-    def send_outcome(self, outcome: TaskOutcome) -> None:
+    def send_outcome(self, outcome: wire.TaskOutcome) -> None:
         """Upload the outcome, as the last file.
 
         Raises:
             InputError: access is denied.
             AwsLostError: AWS does not answer.
         """
-        with_retries(partial(self.store.put, self.key(OUTCOME_FILE), outcome_document(outcome)))
+        with_retries(partial(self.store.put, self.key(wire.OUTCOME_FILE), wire.outcome_document(outcome)))
 
-    def job(self) -> TaskJob:
+    def job(self) -> wire.TaskJob:
         """Download the job.
 
         Raises:
@@ -211,10 +193,10 @@ class ContainerTask:
             AwsLostError: AWS does not answer.
         """
         key = self.location.jobs_key(self.index)
-        data = with_retries(lambda: self.store.get(key, MAX_JOBS_BYTES))
+        data = with_retries(lambda: self.store.get(key, wire.MAX_JOBS_BYTES))
         if data is None:
             raise InfrastructureError(f"s3://{self.location.bucket}/{key}: there is no such object")
-        return read_job(data, self.index % JOBS_PER_FILE, key)
+        return wire.read_job(data, self.index % wire.JOBS_PER_FILE, key)
 
 
 def main(arguments: Sequence[str], variables: Mapping[str, str], places: Places = Places()) -> int:
@@ -242,7 +224,7 @@ def _prepare_task(task: ContainerTask, places: Places, _: Mapping[str, str]) -> 
     except CalibrationError as error:
         containers = tuple(ContainerOutcome(each.name, End.NOT_STARTED) for each in described.job.containers)
         reasons = (str(error),)
-        failed = TaskOutcome(described.job.name, task.attempt, error.exit_code, reasons, containers=containers)
+        failed = wire.TaskOutcome(described.job.name, task.attempt, error.exit_code, reasons, containers=containers)
         with suppress(CalibrationError):  # the error is in the log anyway
             task.send_outcome(failed)
         raise
@@ -255,7 +237,7 @@ def _watch_task(task: ContainerTask, places: Places, variables: Mapping[str, str
         files = Path(folder, "artifacts")
         watch.run(files)
         try:
-            send_files(task.store, watch.outcome(task.attempt).artifacts, files, task.key(FILES_FOLDER))
+            send_files(task.store, watch.outcome(task.attempt).artifacts, files, task.key(wire.FILES_FOLDER))
         except CalibrationError as error:
             watch.fail(error)
         task.send_outcome(watch.outcome(task.attempt))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.addons.guard.features import find_features
-from calibration.addons.guard.keeping import accepted_camera
+from calibration.addons.guard.fixed_check import accepted_camera
 from calibration.addons.guard.outcome import SensorCheck
 from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_each_other, check_by_motion
 from calibration.addons.guard.witness.depth_edges import CameraAndLidar, check_by_edges, stands_still

@@ -18,8 +18,10 @@ from calibration.ci.execution.docker.container_run import (
     ContainerRun,
     address_of,
     container_settings,
+    copy_in,
+    open_output,
+    opener_of,
 )
-from calibration.ci.execution.docker.copying import copy_in, open_output, opener_of
 from calibration.ci.execution.docker.labels import CONTAINER_LABEL, JOB_LABEL, new_run
 from calibration.ci.execution.docker.run_objects import Leftover, Network, Networks, remove
 from calibration.ci.execution.job import Job

@@ -8,7 +8,7 @@ from defusedxml.ElementTree import fromstring
 
 from benchmarks.ros_defects import found_in
 from benchmarks.ros_defects.workspace import Files, Workspace, write
-from calibration.addons.analysis.analysers.ros import RosGraph, read_graph
+from calibration.addons.analysis.analysers.own_checks import RosGraph, read_graph
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.ros.client_code import Quality, read_cpp, read_python
 from calibration.addons.analysis.ros.graph import Graph, build_graphs

@@ -2,8 +2,7 @@
 
 import pytest
 
-from calibration.addons.delivery.artifact import RegistryRepository
-from calibration.addons.delivery.destinations import Delivery
+from calibration.addons.delivery.destinations import Delivery, RegistryRepository
 from calibration.base import InputError
 from calibration.ci.registries.reference import Credentials, parse_reference
 from calibration.ci.registries.registry import RegistryClient

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from calibration.base import InputError
-from calibration.ci.execution.embedded import single_threaded_opencv
-from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.execution.tasks import Task, run_tasks, single_threaded_opencv
 from calibration.engine.estimation.options import ALL_EXACT
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.motion.sequence import Motion, read_motion

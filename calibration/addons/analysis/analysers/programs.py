@@ -1,4 +1,8 @@
-"""Analysers of code (ruff, cppcheck, lizard, shellcheck), and the metrics of code with their grade."""
+"""Analysers that are programs, and the metrics of code with their grade.
+
+Python: ruff; C and C++: cppcheck; shells: shellcheck; functions that are too complex: lizard; YAML: yamllint; workflows
+and actions of GitHub: zizmor.
+"""
 
 import csv
 import io
@@ -8,11 +12,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 
+import yaml
+
 from calibration.addons.analysis.analysers.analyser import (
     ProgramAnalyser,
     ProgramFinding,
     ProgramResult,
     arguments,
+    failure_of,
     json_output,
     module,
     program,
@@ -173,6 +180,81 @@ class Shellcheck(ProgramAnalyser):
             category: Category = "style" if level == "style" else "unused code" if code == 2034 else compatibility
             severity = _SEVERITY_OF_LEVEL.get(level, "note")
             yield str(entry["file"]), int(entry["line"]), f"SC{code}", category, severity, str(entry["message"])
+
+
+_WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
+_SEVERITY_OF_ZIZMOR_LEVEL: dict[str, Severity] = {"High": "error", "Medium": "warning"}
+
+
+class Zizmor(ProgramAnalyser):
+    """Security of workflows and composite actions, offline."""
+
+    name = "zizmor"
+    settings = ("zizmor.yml", "zizmor.yaml")
+
+    def wants(self, path: str, copy: Copy) -> bool:
+        """Select workflows and actions; invalid YAML is reported by yamllint."""
+        return bool(_WORKFLOWS_AND_ACTIONS.fullmatch(path)) and _is_mapping(copy.text(path))
+
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command."""
+        command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet"]
+        yield [*command, "--format", "json-v1", "--"], files
+
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the list of findings."""
+        for entry in json.loads(result.output or "[]"):
+            if entry.get("ignored"):
+                continue
+            places = entry["locations"]
+            primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
+            path = primary["symbolic"]["key"]["Local"]["verbatim_path"]
+            line = primary["concrete"]["location"]["start_point"]["row"] + 1
+            severity = _SEVERITY_OF_ZIZMOR_LEVEL.get(entry["determinations"]["severity"], "note")
+            message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
+            yield path, line, entry["ident"], "security", severity, message
+
+
+def _is_mapping(text: str) -> bool:
+    try:
+        events = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the other one takes minutes
+        return any(isinstance(event, yaml.MappingStartEvent) for event in list(events)[:3])
+    except (yaml.YAMLError, RecursionError):
+        return False
+
+
+_LINE_OF_YAMLLINT = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
+_DEFAULT_CONFIGURATION = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
+_YAML_RULES_OF_ERRORS = ("syntax", "key-duplicates", "anchors")
+"""Rules of errors that change the meaning; the others are style."""
+
+
+class Yamllint(ProgramAnalyser):
+    """Syntax, duplicate keys, and style of YAML; the team's settings select the rules, if there are any."""
+
+    name = "yamllint"
+    settings = (".yamllint", ".yamllint.yml", ".yamllint.yaml")
+    codes = (0, 1)
+
+    def wants(self, path: str, copy: Copy) -> bool:
+        """Select YAML files by suffix, if they are UTF-8."""
+        return path.endswith((".yml", ".yaml")) and copy.is_utf8(path)
+
+    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
+        """Yield the command."""
+        own = any((copy.root / name).is_file() for name in self.settings)
+        rules = [] if own else ["--config-data", _DEFAULT_CONFIGURATION]
+        yield [*module("yamllint"), "--format", "parsable", *rules, "--"], files
+
+    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
+        """Parse the output, one finding per line."""
+        if "Traceback" in result.errors:  # 1 is also the exit code of a Python program that crashes
+            raise failure_of(self.name, result)
+        for match in filter(None, map(_LINE_OF_YAMLLINT.fullmatch, result.output.splitlines())):
+            rule = match[6] or "syntax"
+            is_error = rule in _YAML_RULES_OF_ERRORS
+            category: Category = "error-prone" if is_error else "style"
+            yield match[1], int(match[2]), rule, category, "error" if is_error else "note", match[5]
 
 
 @dataclass(frozen=True)

@@ -1,71 +1,38 @@
-"""Analysers of documents: yamllint, zizmor (workflows and actions of GitHub), XML and URDF of robots."""
+"""Our own analysers: XML, URDF of robots, and packages of ROS, whose checks run in a process of their own."""
 
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
 from xml.etree.ElementTree import Element
 
-import yaml
 from defusedxml import DefusedXmlException
 from defusedxml.ElementTree import ParseError, iterparse
 
-from calibration.addons.analysis.analysers.analyser import (
-    Analyser,
-    ProgramAnalyser,
-    ProgramFinding,
-    ProgramResult,
-    failure_of,
-    module,
-    program,
-)
-from calibration.addons.analysis.copies import Copy
-from calibration.addons.analysis.results import Category, CodeFinding, Severity
+import calibration
+from calibration.addons.analysis.analysers import analyser
+from calibration.addons.analysis.analysers.analyser import Analyser, run_program
+from calibration.addons.analysis.copies import MAX_FILES, Copy
+from calibration.addons.analysis.results import CodeFinding, GraphSummary, Severity
 from calibration.addons.analysis.ros.tree import line_of, parse_xml
-from calibration.base import did_you_mean, one_line, shorten
+from calibration.base import did_you_mean, one_line, shorten, temporary_folder
 
-_WORKFLOWS_AND_ACTIONS = re.compile(r"\.github/workflows/[^/]+\.ya?ml|(.*/)?action\.ya?ml")
-_SEVERITY_OF_ZIZMOR_LEVEL: dict[str, Severity] = {"High": "error", "Medium": "warning"}
-
-
-class Zizmor(ProgramAnalyser):
-    """Security of workflows and composite actions, offline."""
-
-    name = "zizmor"
-    settings = ("zizmor.yml", "zizmor.yaml")
-
-    def wants(self, path: str, copy: Copy) -> bool:
-        """Select workflows and actions; invalid YAML is reported by yamllint."""
-        return bool(_WORKFLOWS_AND_ACTIONS.fullmatch(path)) and _is_mapping(copy.text(path))
-
-    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
-        """Yield the command."""
-        command = [program("zizmor"), "--offline", "--no-exit-codes", "--no-progress", "--quiet"]
-        yield [*command, "--format", "json-v1", "--"], files
-
-    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
-        """Parse the list of findings."""
-        for entry in json.loads(result.output or "[]"):
-            if entry.get("ignored"):
-                continue
-            places = entry["locations"]
-            primary = next((each for each in places if each["symbolic"].get("kind") == "Primary"), places[0])
-            path = primary["symbolic"]["key"]["Local"]["verbatim_path"]
-            line = primary["concrete"]["location"]["start_point"]["row"] + 1
-            severity = _SEVERITY_OF_ZIZMOR_LEVEL.get(entry["determinations"]["severity"], "note")
-            message = f"{entry['desc']}: {primary['symbolic'].get('annotation', '')}"
-            yield path, line, entry["ident"], "security", severity, message
+_CHECKED_FILES = re.compile(
+    r"(.*/)?(package\.xml|CMakeLists\.txt|setup\.(py|cfg)|calibration\.yml|config\.yml|dataset\.json)"
+    r"|.*\.(launch|launch\.xml|test|urdf|xacro|msg|srv|action|py|cpp|cc|cxx|c|h|hpp|hh|hxx|yaml|yml)"
+)
+_PROGRAM_OF_CHECKS = (
+    "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); "
+    "runpy.run_module('calibration.addons.analysis.ros', run_name='__main__', alter_sys=True)"
+)
+"""Runs the checks from where this package is, whether it is installed or not."""
 
 
-def _is_mapping(text: str) -> bool:
-    try:
-        events = yaml.parse(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))  # the other one takes minutes
-        return any(isinstance(event, yaml.MappingStartEvent) for event in list(events)[:3])
-    except (yaml.YAMLError, RecursionError):
-        return False
-
-
-class XmlFiles(Analyser):
+class XmlFiles(analyser.Analyser):
     """Validity of XML, by a parser that refuses entities; runs no program."""
 
     name = "xml"
@@ -90,47 +57,13 @@ def _check_xml(copy: Copy, path: str) -> CodeFinding | None:
     return None
 
 
-_LINE_OF_YAMLLINT = re.compile(r"(.+?):(\d+):(\d+): \[(error|warning)\] (.*?)(?: \(([a-z-]+)\))?")
-_DEFAULT_CONFIGURATION = "{extends: relaxed, rules: {line-length: disable, new-line-at-end-of-file: disable}}"
-_YAML_RULES_OF_ERRORS = ("syntax", "key-duplicates", "anchors")
-"""Rules of errors that change the meaning; the others are style."""
-
-
-class Yamllint(ProgramAnalyser):
-    """Syntax, duplicate keys, and style of YAML; the team's settings select the rules, if there are any."""
-
-    name = "yamllint"
-    settings = (".yamllint", ".yamllint.yml", ".yamllint.yaml")
-    codes = (0, 1)
-
-    def wants(self, path: str, copy: Copy) -> bool:
-        """Select YAML files by suffix, if they are UTF-8."""
-        return path.endswith((".yml", ".yaml")) and copy.is_utf8(path)
-
-    def runs(self, copy: Copy, files: Sequence[str]) -> Iterator[tuple[list[str], Sequence[str]]]:
-        """Yield the command."""
-        own = any((copy.root / name).is_file() for name in self.settings)
-        rules = [] if own else ["--config-data", _DEFAULT_CONFIGURATION]
-        yield [*module("yamllint"), "--format", "parsable", *rules, "--"], files
-
-    def parsed(self, result: ProgramResult) -> Iterator[ProgramFinding]:
-        """Parse the output, one finding per line."""
-        if "Traceback" in result.errors:  # 1 is also the exit code of a Python program that crashes
-            raise failure_of(self.name, result)
-        for match in filter(None, map(_LINE_OF_YAMLLINT.fullmatch, result.output.splitlines())):
-            rule = match[6] or "syntax"
-            is_error = rule in _YAML_RULES_OF_ERRORS
-            category: Category = "error-prone" if is_error else "style"
-            yield match[1], int(match[2]), rule, category, "error" if is_error else "note", match[5]
-
-
 _JOINTS_WITH_LIMITS = ("revolute", "prismatic")
 _MOMENTS_OF_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _Found = tuple[Element, str, Severity, str]
 """Element, rule, severity, message."""
 
 
-class Urdf(Analyser):
+class Urdf(analyser.Analyser):
     """Links, joints, limits and inertias of URDF; xacro is not expanded, so it is not checked."""
 
     name = "urdf"
@@ -237,3 +170,83 @@ def _parse_number(text: str) -> float | None:
     except ValueError:
         return None
     return number if math.isfinite(number) else None
+
+
+class RosChecks(Analyser):
+    """Packages, build files, interfaces, launch files and code of ROS, one against the other."""
+
+    name = "ros"
+    at_once = MAX_FILES
+    whole: ClassVar[bool] = True
+
+    def wants(self, path: str, copy: Copy) -> bool:
+        """Select the files that checks report on, if there is a package."""
+        return bool(_CHECKED_FILES.fullmatch(path)) and any(
+            each.rpartition("/")[2] == "package.xml" for each in copy.present
+        )
+
+    def findings(self, copy: Copy, files: Sequence[str], seconds: float) -> list[CodeFinding]:
+        """Check all files together, and keep what is found in ``files``."""
+        asked = set(files)
+        entries = run_in_process("findings", copy, seconds)
+        return [finding for entry in entries if (finding := CodeFinding(**entry)).path in asked]
+
+
+def run_in_process(what: str, copy: Copy, seconds: float) -> Any:
+    """Run the checks of ROS packages in a process of their own, and return the document that it prints.
+
+    Args:
+        what: ``findings`` or ``graph``.
+        copy: the files.
+        seconds: time limit.
+
+    Raises:
+        InfrastructureError: it fails, or takes too long.
+    """
+    with temporary_folder(prefix="calibration-analysis-") as folder:
+        task = folder / "task.json"
+        task.write_text(json.dumps([what, str(copy.root), copy.present, copy.opaque]), encoding="ascii")
+        home = str(Path(calibration.__file__).parents[1])
+        result = run_program(
+            RosChecks.name, [sys.executable, "-I", "-c", _PROGRAM_OF_CHECKS, home, str(task)], copy.root, seconds, (0,)
+        )
+    return json.loads(result.output)
+
+
+JSON_FILE, PICTURE_FILE = "ros-graph.json", "ros-graph.svg"
+
+
+@dataclass(frozen=True)
+class RosGraph:
+    """Graph of one state of a repository."""
+
+    nodes: int
+    connections: frozenset[str]
+    """Connections of nodes, one line each: ``/scan: scanner -> follower``."""
+    unresolved: tuple[str, ...]
+    document: str
+    """The whole graph as JSON."""
+    picture: str
+    """Picture of the graph as SVG."""
+
+    def since(self, earlier: "RosGraph | None") -> GraphSummary:
+        """Return what the graph has, and what has changed since an earlier state."""
+        before = self.connections if earlier is None else earlier.connections
+        return GraphSummary(
+            nodes=self.nodes,
+            connections=len(self.connections),
+            connected=tuple(sorted(self.connections - before)),
+            cut=tuple(sorted(before - self.connections)),
+            unresolved=self.unresolved,
+        )
+
+
+def read_graph(copy: Copy, seconds: float) -> RosGraph:
+    """Read the graph of a copy in a process of its own.
+
+    Raises:
+        InfrastructureError: it fails, or takes too long.
+    """
+    found = run_in_process("graph", copy, seconds)
+    connections = frozenset(found["connections"])
+    return RosGraph(found["nodes"], connections, tuple(found["unresolved"]), found["document"], found["picture"])
