@@ -21,9 +21,9 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, transform
+from calibration.robot.labelling.board_image import shortest
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector
-from calibration.robot.labelling.printed_corners import shortest
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scene import Board, Box, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera

@@ -25,8 +25,8 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform, translation
 from calibration.robot.importing.watch.arrivals import Arrival, Arrivals
 from calibration.robot.importing.watch.judging import ImageJudge
-from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.marked_boards import CharucoDetector
 from calibration.robot.labelling.points import label_points
 from calibration.robot.labelling.unmarked_grids import ChessboardDetector
 from tests.robot.labelling.pictures import (

@@ -26,8 +26,8 @@ from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import distance, from_quaternion
 from calibration.pipeline.system import System
-from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.marked_boards import CharucoDetector
 
 ARM = FOLDER / "real-arm"
 NO_ARM = "no ../shared/data/real-arm: it is not part of the project"

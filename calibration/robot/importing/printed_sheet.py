@@ -11,7 +11,7 @@ from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import CIRCLE_KINDS
-from calibration.robot.labelling.aprilgrid import cell_ends, tag_cells
+from calibration.robot.labelling.marked_boards import cell_ends, tag_cells
 from calibration.robot.simulation.rendering.texture import circle_diameter, marker_modules, tag_modules
 
 PAPER_SIZES_MM = {

@@ -23,13 +23,10 @@ import numpy as np
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.estimation.residuals.planar_pose import determines_pose
-from calibration.robot.labelling.board_image import fits_neighbours, predict, project
-from calibration.robot.labelling.detection import Image, NotDetected
+from calibration.robot.labelling import board_image
+from calibration.robot.labelling.detection import CORNER_DECIMALS, Image, NotDetected
 from calibration.robot.labelling.markers import Markers
-from calibration.robot.labelling.printed_corners import PrintedPatches, angles, refine, shortest
 
-TEXELS_PER_SQUARE = 32
-"""Texels of the drawn board per side of a square."""
 LEAST_FOR_BOX = 6
 """Number of markers from which it is known roughly where the others are."""
 SEARCH_ROOM, MORE_ROOM = 0.3, 30
@@ -47,7 +44,7 @@ class Layout:
 
     markers: Array
     """(M, 4, 2): the corners of each marker, by id, clockwise from its top left."""
-    patches: PrintedPatches
+    patches: board_image.PrintedPatches
     """Print around each corner."""
 
 
@@ -64,7 +61,7 @@ class Reading:
         """Return a part (left, top, right, bottom) of the image that contains all markers; None if unknown."""
         if len(self.markers) < LEAST_FOR_BOX:
             return None
-        corners, _ = project(self.H, self.layout.markers.reshape(-1, 2))
+        corners, _ = board_image.project(self.H, self.layout.markers.reshape(-1, 2))
         if not np.isfinite(corners).all():
             return None
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -75,7 +72,7 @@ class Reading:
 
     def share(self, height: int, width: int) -> float:
         """Share of the markers expected in the image that are read, 0 to 1."""
-        centres, _ = project(self.H, self.layout.markers.mean(axis=1))
+        centres, _ = board_image.project(self.H, self.layout.markers.mean(axis=1))
         expected = ((centres > 0) & (centres < np.array([width, height]) - 1)).all(-1).sum()
         return len(self.markers) / max(int(expected), len(self.markers), 1)
 
@@ -98,11 +95,15 @@ def board_layouts(
         board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker, dictionary, ids)
         board.setLegacyPattern(legacy)
         drawing = np.asarray(
-            board.generateImage((columns * TEXELS_PER_SQUARE, rows * TEXELS_PER_SQUARE), marginSize=0, borderBits=1),
+            board.generateImage(
+                (columns * board_image.TEXELS_PER_SQUARE, rows * board_image.TEXELS_PER_SQUARE),
+                marginSize=0,
+                borderBits=1,
+            ),
             np.uint8,
         )
         markers = np.array(board.getObjPoints(), float)[..., :2]
-        layouts.append(Layout(markers, PrintedPatches(drawing, TEXELS_PER_SQUARE, corners)))
+        layouts.append(Layout(markers, board_image.PrintedPatches(drawing, board_image.TEXELS_PER_SQUARE, corners)))
     return layouts
 
 
@@ -132,7 +133,7 @@ def _in_place(layout: Layout, markers: Markers) -> float:
     found = []
     for i, (place, corners) in enumerate(zip(places, markers.corners, strict=True)):
         H = cv2.getPerspectiveTransform(corners.astype(np.float32), place.astype(np.float32))
-        seen, _ = project(np.array(H, float), centres)
+        seen, _ = board_image.project(np.array(H, float), centres)
         distances = np.linalg.norm(seen - place.mean(axis=0), axis=-1)
         near = (distances < NEIGHBOUR_LIMITS) & (np.arange(len(places)) != i)
         found.append((np.linalg.norm(seen - places.mean(axis=1), axis=-1) < IN_PLACE)[near])
@@ -151,15 +152,13 @@ def _read_layout(layout: Layout, markers: Markers) -> Reading | None:
     if found is None or abs(np.linalg.det(np.asarray(found))) < 1e-12:
         return None
     H = np.array(found, float)
-    distance = np.linalg.norm(project(H, markers.corners)[0] - places, axis=-1)
+    distance = np.linalg.norm(board_image.project(H, markers.corners)[0] - places, axis=-1)
     agrees = (distance < MAX_MISFIT).all(-1)
     if not agrees.any():
         return None
     return Reading(layout, Markers(markers.ids[agrees], markers.corners[agrees]), np.asarray(np.linalg.inv(H), float))
 
 
-CORNER_DECIMALS = 4
-"""Decimals of the corners' pixels."""
 MIN_LIKENESS = 0.8
 """Minimum correlation of the image around a corner with the print."""
 MIN_SUPPORT = 1.0
@@ -187,15 +186,18 @@ def find_corners(
         The ids (K,) and the pixels (K, 2).
     """
     places = reading.layout.markers[reading.markers.ids].reshape(-1, 2)
-    predicted = predict(places, reading.markers.corners.reshape(-1, 2), corners)
+    predicted = board_image.predict(places, reading.markers.corners.reshape(-1, 2), corners)
     pixels, found = predicted.pixels.copy(), np.zeros(len(corners), bool)
     agreed = found
     for _ in range(MAX_ROUNDS):
-        free = clearance * shortest(predicted.jacobians)
+        free = clearance * board_image.shortest(predicted.jacobians)
         wanted = np.flatnonzero(
-            (predicted.support >= MIN_SUPPORT) & (free >= least) & (angles(predicted.jacobians) >= least_angle) & ~found
+            (predicted.support >= MIN_SUPPORT)
+            & (free >= least)
+            & (board_image.angles(predicted.jacobians) >= least_angle)
+            & ~found
         )
-        refined, at = refine(image, predicted.pixels[wanted], predicted.jacobians[wanted], clearance)
+        refined, at = board_image.refine(image, predicted.pixels[wanted], predicted.jacobians[wanted], clearance)
         seen = found.copy()
         seen[wanted[at]] = True
         pixels[wanted[at]] = refined[at]
@@ -205,11 +207,11 @@ def find_corners(
             break
         if not np.array_equal(found, agreed):  # else they agree as in the last round
             seen = found.copy()
-            found[found] = fits_neighbours(corners[found], pixels[found])
+            found[found] = board_image.fits_neighbours(corners[found], pixels[found])
             agreed = found.copy() if np.array_equal(found, seen) else np.zeros_like(found)
         if found.sum() < 4 or not (found & ~before).any():
             break
-        predicted = predict(corners[found], pixels[found], corners)
+        predicted = board_image.predict(corners[found], pixels[found], corners)
     return np.flatnonzero(found), pixels[found]
 
 

@@ -7,10 +7,9 @@ import numpy as np
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import PatternKind
-from calibration.robot.labelling.aprilgrid import AprilgridDetector
-from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.detection import CornerDetector, Image, NotDetected, grey
-from calibration.robot.labelling.tag_list import TagListDetector
+from calibration.robot.labelling.marked_boards import AprilgridDetector, CharucoDetector
+from calibration.robot.labelling.markers import TagListDetector
 from calibration.robot.labelling.unmarked_grids import ChessboardDetector, CirclesDetector
 
 DETECTOR_OF_KIND: Mapping[PatternKind, Callable[[PatternConfiguration], CornerDetector]] = {

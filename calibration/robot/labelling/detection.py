@@ -13,6 +13,9 @@ from calibration.engine.dataset.model import CornerLabels
 Image = NDArray[np.uint8]
 """Grey (H, W) or BGR (H, W, 3), as in OpenCV."""
 
+CORNER_DECIMALS = 4
+"""Decimals of the corners' pixels."""
+
 DepthImage = NDArray[np.uint16]
 """(H, W): the depth along the optical axis as in `calibration.engine.dataset.depth_image`."""
 

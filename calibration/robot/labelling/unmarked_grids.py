@@ -32,12 +32,16 @@ from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
-from calibration.robot.labelling.board_image import Prediction, fits_neighbours, predict
-from calibration.robot.labelling.detection import Image, NotDetected, grey
-from calibration.robot.labelling.printed_corners import PrintedPatches, refine
+from calibration.robot.labelling.board_image import (
+    TEXELS_PER_SQUARE,
+    Prediction,
+    PrintedPatches,
+    fits_neighbours,
+    predict,
+    refine,
+)
+from calibration.robot.labelling.detection import CORNER_DECIMALS, Image, NotDetected, grey
 
-CORNER_DECIMALS = 4
-"""Decimals of the corners' pixels."""
 REFINEMENT_RADIUS = 0.4
 """Radius (squares) of the refinement around a corner; the next corners are at 1."""
 LEAST_SHARE = 0.75
@@ -48,8 +52,6 @@ MIN_LARGE_SIDE = 800
 """Longer side (px) from which on an image is first searched at half its size."""
 MIN_LIKENESS = 0.75
 """Minimum correlation of the image around a corner with the print; at the border of a board it is below 0.6."""
-TEXELS_PER_SQUARE = 32
-"""Texels of the drawn board per side of a square."""
 OLDER_DETECTOR = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
 """Flags of OpenCV's older detector; the last ends the search of an image without black squares."""
 MIN_PIXELS_PER_SQUARE = 4

@@ -25,8 +25,8 @@ from calibration.robot.importing.bags.bag import open_bag
 from calibration.robot.importing.bags.messages import depth_of, image_of
 from calibration.robot.importing.bags.unpacking import UnpackingBudget, UnpackingError
 from calibration.robot.importing.patterns.image_views import read_image
-from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.marked_boards import CharucoDetector
 from tests.campaigns.fuzz import bounded
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
 

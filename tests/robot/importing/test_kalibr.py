@@ -21,7 +21,7 @@ from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.pictures import find_pictures, moments_of
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.importing import import_data
-from calibration.robot.labelling.aprilgrid import tag_dictionary
+from calibration.robot.labelling.marked_boards import tag_dictionary
 from tests.robot.importing.conftest import change
 from tests.robot.labelling.pictures import VGA, Photograph, charuco, chessboard, facing
 from tests.robot.labelling.test_aprilgrid import BOARD, turned_tags

@@ -11,7 +11,9 @@ from benchmarks.aprilgrid import look
 from calibration.base import InputError
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
-from calibration.robot.labelling.aprilgrid import (
+from calibration.robot.labelling.corner_detector import corner_detector
+from calibration.robot.labelling.detection import Image, NotDetected
+from calibration.robot.labelling.marked_boards import (
     BORDER_MODULES,
     MODULES_PER_TAG,
     AprilgridDetector,
@@ -19,8 +21,6 @@ from calibration.robot.labelling.aprilgrid import (
     tag_cells,
     tag_dictionary,
 )
-from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.labelling.detection import Image, NotDetected
 from tests.robot.labelling.pictures import (
     HD,
     HD_DISTORTED,

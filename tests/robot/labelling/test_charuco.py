@@ -13,9 +13,9 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.robot.labelling.board_corners import board_layouts, readings
-from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.marked_boards import CharucoDetector
 from calibration.robot.labelling.markers import MarkerFinder, Markers
 from tests.robot.labelling.pictures import HD, HD_DISTORTED, VGA, Photograph, charuco, facing, in_view, true_corners
 

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
+from calibration.robot.labelling.board_image import PrintedPatches, _moments_of_windows, refine
 from calibration.robot.labelling.detection import Image
-from calibration.robot.labelling.printed_corners import PrintedPatches, _moments_of_windows, refine
 from tests.robot.labelling.pictures import TEXELS, VGA, Photograph, chessboard, facing, printed, true_corners
 
 BOARD = chessboard()

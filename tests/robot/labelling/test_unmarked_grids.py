@@ -15,9 +15,9 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling import unmarked_grids as chessboards
+from calibration.robot.labelling.board_image import refine
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, NotDetected
-from calibration.robot.labelling.printed_corners import refine
 from calibration.robot.labelling.unmarked_grids import ChessboardDetector
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scene import Scene

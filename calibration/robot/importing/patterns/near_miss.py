@@ -16,10 +16,9 @@ from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConf
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import CIRCLE_KINDS, UNMARKED_KINDS, PatternKind, PlacedTag
 from calibration.robot.importing.patterns.image_views import View, read_image
-from calibration.robot.labelling.aprilgrid import BORDER_MODULES
-from calibration.robot.labelling.charuco import CharucoDetector
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
+from calibration.robot.labelling.marked_boards import BORDER_MODULES, CharucoDetector
 from calibration.robot.labelling.markers import MarkerFinder, Markers, turned_tags
 from calibration.robot.labelling.unmarked_grids import LEAST_CIRCLES, blob_finder, reduced_images
 

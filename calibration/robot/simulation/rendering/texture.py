@@ -20,7 +20,7 @@ from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import Pattern
-from calibration.robot.labelling.aprilgrid import cell_ends, tag_cells
+from calibration.robot.labelling.marked_boards import cell_ends, tag_cells
 from calibration.robot.labelling.markers import printed_dictionary, turns_of
 
 Grey = NDArray[np.uint8]

@@ -1,15 +1,20 @@
-"""Aprilgrids, the boards of tags that Kalibr prints: their print, and their detection in whole or partial views.
+"""Boards with markers, in whole or partial views: charuco boards, and the aprilgrids that Kalibr prints.
 
-Tags of AprilTag's family 36h11 with a border of two modules, upright as AprilTag draws them, and a
+OpenCV reads the markers; the corners are found from them (`calibration.robot.labelling.board_corners`). OpenCV's own
+corners of tags are about 3 px off, because the squares at the corners touch the tags.
+
+Ids of a charuco board are ATOM's: ``row * columns + column`` in the pattern's frame, x along a row, y along a column, z
+away from the camera, as in OpenCV's board since 4.6; labels by ATOM with OpenCV 4.6 have the same ids
+(tested on real data). Their pixels are half a pixel larger in x and y: that version has its
+origin at the corner of the top-left pixel; here the pixel's centre is (0, 0).
+
+An aprilgrid has tags of AprilTag's family 36h11 with a border of two modules, upright as AprilTag draws them, and a
 black square at each crossing of gaps, so that four quarters of black and white meet in every corner of a tag. The
 print consists of cells: a gap, the modules of a tag, a gap, and so on. Ids are Kalibr's
 (`calibration.engine.dataset.pattern.tag_grid`).
 
-Positions are from the top left corner of the print; x to the right, y down. The unit is about the mean distance of
-corners in a row, so that detectors search as far as on a board of squares.
-
-OpenCV reads the tags; the corners are found from them (`calibration.robot.labelling.board_corners`). OpenCV's own
-corners of tags are about 3 px off, because the squares at the corners touch the tags.
+Positions on it are from the top left corner of the print; x to the right, y down. The unit is about the mean distance
+of corners in a row, so that detectors search as far as on a board of squares.
 """
 
 import math
@@ -23,10 +28,100 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, TAG_COUNT, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import tag_grid, tag_lines, tag_outline
-from calibration.robot.labelling.board_corners import TEXELS_PER_SQUARE, Layout, Reading, enough, find_corners, readings
+from calibration.robot.labelling import board_corners
+from calibration.robot.labelling.board_image import TEXELS_PER_SQUARE, PrintedPatches
 from calibration.robot.labelling.detection import Image, NotDetected, grey
 from calibration.robot.labelling.markers import WINDOWS_FOR_TOUCHED, MarkerFinder, Markers, turned_tags
-from calibration.robot.labelling.printed_corners import PrintedPatches
+
+LEAST_MARKERS = 8
+"""A detection takes more markers than this, and enough corners (ATOM's rule).
+
+A board with fewer than 33 markers takes more than a quarter of them.
+"""
+
+
+class CharucoDetector:
+    """Corner detector of one charuco board; see `calibration.robot.labelling.detection.CornerDetector`."""
+
+    def __init__(self, pattern: PatternConfiguration) -> None:
+        """Create the detector for a printed pattern; OpenCV's modern or legacy layout is detected in each image.
+
+        Raises:
+            InputError: such a board cannot be printed.
+        """
+        dictionary = _opencv_dictionary(pattern)
+        columns, rows = pattern.dimension
+        row, column = np.divmod(np.arange(columns * rows), columns)
+        self._corners = np.stack([column + 1.0, row + 1.0], -1)
+        markers = (columns + 1) * (rows + 1) // 2
+        available = len(dictionary.bytesList)
+        first = pattern.first_marker
+        if first + markers > available:
+            begin = f" from id {first} on" if first else ""
+            raise InputError(
+                f"pattern '{pattern.name}': a charuco board of {columns} x {rows} corners has {markers} markers{begin}"
+                f", {pattern.dictionary} has {available}: name a larger dictionary"
+            )
+        if pattern.inner_size is None:
+            raise InputError(f"pattern '{pattern.name}': a charuco board needs inner_size, the side of its markers")
+        marker = pattern.inner_size / pattern.size
+        self._clearance = (1 - marker) / 2
+        self._first = first
+        self._needed = min(LEAST_MARKERS, markers // 4)
+        self._finder = MarkerFinder(dictionary, markers, first=first)
+        self._layouts = board_corners.board_layouts(columns + 1, rows + 1, marker, dictionary, self._corners, first)
+
+    def detect(self, image: Image) -> CornerLabels | NotDetected:
+        """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
+
+        Raises:
+            InputError: it is not such an image.
+        """
+        image = grey(image)
+        if min(image.shape) < 2 * MarkerFinder.LEAST_SIDE:
+            return NotDetected(f"an image of {image.shape[1]} x {image.shape[0]} pixels holds no pattern")
+        found = self._read_markers(image)
+        count = len(found[0].markers) if found else 0
+        if count <= self._needed:
+            return NotDetected(f"{count} markers, more than {self._needed} are needed")
+        candidates = [board_corners.find_corners(image, reading, self._corners, self._clearance) for reading in found]
+        candidates.sort(key=lambda candidate: -len(candidate[0]))
+        ids, pixels = candidates[0]
+        labels = board_corners.enough(self._corners, ids, pixels)
+        if isinstance(labels, CornerLabels) and len(candidates) > 1 and len(candidates[1][0]) == len(ids):
+            return NotDetected("too little is seen to tell in which of OpenCV's two layouts the board is printed")
+        return labels
+
+    def in_place(self, markers: Markers) -> float:
+        """Return the share of an image's neighbouring markers that are where the board has them, 0 to 1.
+
+        Args:
+            markers: with the ids of the dictionary.
+        """
+        own = markers.ids - self._first
+        known = (own >= 0) & (own < len(self._layouts[0].markers))
+        return board_corners.neighbours_in_place(self._layouts, Markers(own[known], markers.corners[known]))
+
+    def _read_markers(self, image: Image) -> list[board_corners.Reading]:
+        """Read the markers by the likeliest layouts; repeated at a finer scale if many expected ones are missing."""
+        found = board_corners.readings(self._layouts, self._finder.find(image))
+        if found and found[0].share(*image.shape) >= 0.5:
+            return found
+        finer = board_corners.readings(
+            self._layouts, self._finder.find_small(image, found[0].box(*image.shape) if found else None)
+        )
+        return max(found, finer, key=lambda r: len(r[0].markers) if r else 0)
+
+
+def _opencv_dictionary(pattern: PatternConfiguration) -> "cv2.aruco.Dictionary":
+    name = pattern.dictionary or ""
+    known = sorted(key for key in dir(cv2.aruco) if key.startswith("DICT_") and "X" in key)
+    if name not in known:
+        raise InputError(
+            f"pattern '{pattern.name}': found dictionary '{name}', expected one of OpenCV's: {', '.join(known)}"
+        )
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
 
 BORDER_MODULES = 2
 """Width of the black border around the bits of a tag, in modules."""
@@ -136,7 +231,7 @@ class AprilgridDetector:
         patches = PrintedPatches(
             drawn(columns, rows, pattern.spacing, TEXELS_PER_SQUARE, first), TEXELS_PER_SQUARE, self._corners
         )
-        self._layout = Layout(self._corners[corner_ids(columns, rows)], patches)
+        self._layout = board_corners.Layout(self._corners[corner_ids(columns, rows)], patches)
 
     def detect(self, image: Image) -> CornerLabels | NotDetected:
         """Detect corners in an 8-bit image (H, W) or (H, W, 3), BGR; pixel (0, 0) is a centre.
@@ -152,11 +247,12 @@ class AprilgridDetector:
             return NotDetected(f"{seen} tags, {LEAST_TAGS} are needed that lie as on the board")
         if len(reading.markers) <= LEAST_AGREEING * seen:
             return NotDetected(f"{len(reading.markers)} of {seen} tags lie as on the board, more than half are needed")
-        return enough(
-            self._corners, *find_corners(image, reading, self._corners, self._clearance, LEAST_FREE, LEAST_ANGLE)
+        return board_corners.enough(
+            self._corners,
+            *board_corners.find_corners(image, reading, self._corners, self._clearance, LEAST_FREE, LEAST_ANGLE),
         )
 
-    def _read_board(self, image: Image) -> tuple[Reading | None, int]:
+    def _read_board(self, image: Image) -> tuple[board_corners.Reading | None, int]:
         """Return the tags that match the board, and the number of all tags.
 
         The search is repeated at a finer scale if many expected tags are missing.
@@ -167,9 +263,9 @@ class AprilgridDetector:
         finer = self._matching_tags(self._finder.find_small(image))
         return max((found, seen), finer, key=lambda each: len(each[0].markers) if each[0] else 0)
 
-    def _matching_tags(self, tags: Markers) -> tuple[Reading | None, int]:
+    def _matching_tags(self, tags: Markers) -> tuple[board_corners.Reading | None, int]:
         """Return the tags that match the board, and their number."""
         ids = tags.ids - self._first
         own = (ids >= 0) & (ids < self._count)
-        lying = readings([self._layout], Markers(ids[own], tags.corners[own]))
+        lying = board_corners.readings([self._layout], Markers(ids[own], tags.corners[own]))
         return (lying[0] if lying else None), len(tags)
