@@ -23,8 +23,8 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform, translation
-from calibration.robot.importing.watch.arrivals import Arrival, Arrivals
-from calibration.robot.importing.watch.judging import ImageJudge
+from calibration.robot.importing.arrivals import Arrival, Arrivals
+from calibration.robot.importing.look.judging import ImageJudge
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.marked_boards import CharucoDetector
 from calibration.robot.labelling.points import label_points

@@ -11,7 +11,7 @@ from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.start.lens_choice import fitting_lens
 from calibration.engine.geometry.cameras import Camera
 from calibration.robot.importing.document import Imported, dataset_document
-from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment, View
+from calibration.robot.importing.image_views import FoundCorners, LabelledMoment, View
 from tests.engine.estimation.systems import covering
 
 LENS = Camera(600.0, 590.0, 640.0, 480.0, 1280, 960)

@@ -8,7 +8,7 @@ from calibration.base import ExitCode
 from calibration.ci.report import Report, count_of, publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import path
-from calibration.robot.importing.adding import add_collections
+from calibration.robot.importing.amending import add_collections
 
 
 @click.command("add-collections")

@@ -10,7 +10,7 @@ from calibration.ci.workflow import Runner, stop_commands
 from calibration.commands.parameters import TEXT_LIST, assignments, path, text
 from calibration.engine.dataset.reading import read_dataset
 from calibration.pipeline.results import cell_that_wrote, refuse_what_has_not_passed
-from calibration.robot.exports.formats import FORMATS, URDF, exported
+from calibration.robot.exports import FORMATS, URDF, exported
 from calibration.robot.robot_description import XacroInputs
 
 

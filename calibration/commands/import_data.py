@@ -12,9 +12,9 @@ from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import progress
 from calibration.commands.parameters import chosen, record_options
 from calibration.robot.importing.bags.recordings import SeenImages
+from calibration.robot.importing.image_views import LabelledMoment
 from calibration.robot.importing.importing import import_data
-from calibration.robot.importing.patterns.image_views import LabelledMoment
-from calibration.robot.importing.results import IMPORT_TITLE, report
+from calibration.robot.importing.results import IMPORT_TITLE, import_report
 
 
 @record(kw_only=True)
@@ -46,4 +46,4 @@ def command(**options: Any) -> ExitCode:
 
     with progress(runner, IMPORT_TITLE, kept="parts") as advance:
         results = import_data(settings.recordings, settings.output, settings.overwrite, settings.parallel, done)
-    return publish(report(results, settings.output), runner, settings.output)
+    return publish(import_report(results, settings.output), runner, settings.output)

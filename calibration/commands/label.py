@@ -9,8 +9,8 @@ from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import progress
 from calibration.commands.parameters import ActionInput, boolean_option, count, path
-from calibration.robot.importing.patterns.image_views import LabelledMoment
-from calibration.robot.importing.relabelling import label_dataset
+from calibration.robot.importing.amending import label_dataset
+from calibration.robot.importing.image_views import LabelledMoment
 from calibration.robot.importing.results import label_report
 
 

@@ -9,7 +9,7 @@ from calibration.ci.report import FILES, publish, remove_results
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import path
 from calibration.robot.importing.look.looking import look
-from calibration.robot.importing.look.report import report
+from calibration.robot.importing.results import look_report
 
 
 @click.command("look")
@@ -22,4 +22,4 @@ def command(recording: Path, pattern: Path | None, output: Path | None) -> ExitC
     Exit code 1 if something is missing for a calibration.
     """
     remove_results(output, FILES)
-    return publish(report(look(recording, pattern), output), Runner.from_environment(), output)
+    return publish(look_report(look(recording, pattern), output), Runner.from_environment(), output)

@@ -39,7 +39,7 @@ SHIPPED_SCHEMAS = {
     "motion": SchemaFile("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
     "import.yml": SchemaFile("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
     "import-results": SchemaFile("calibration.robot.importing", _RESULTS_FILE, "results:ImportResults", "import-data"),
-    "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "look.report:LookResults", "look"),
+    "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "results:LookResults", "look"),
     "label-results": SchemaFile("calibration.robot.importing", "label.schema.json", "results:LabelResults", "label"),
     "scenario-set": SchemaFile(_SCENARIOS_PACKAGE, "scenario_set.schema.json", "scenario_set:ScenarioSetFile"),
     "image-results": SchemaFile("calibration.ci.image", _RESULTS_FILE, "building:BuildResult", "build-image"),

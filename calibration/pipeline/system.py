@@ -26,7 +26,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.pipeline.matrix.software import Software, checked_software
-from calibration.robot.exports.formats import FORMATS, URDF
+from calibration.robot.exports import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs
 
 FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]

@@ -24,9 +24,11 @@ from calibration.engine.estimation.options import Options
 from calibration.engine.next_pose.advice import next_poses
 from calibration.pipeline.next_poses import AdvisedPoses, described_advice
 from calibration.pipeline.page.label_residuals import poses_in_images, reduced_jpeg
+from calibration.robot.importing.arrivals import Arrivals, FollowedBag
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.document import Imported, dataset_document
 from calibration.robot.importing.files.pictures import Pictures, order_by_number
+from calibration.robot.importing.image_views import View
 from calibration.robot.importing.importing import (
     check_printed_patterns,
     described_lenses,
@@ -35,11 +37,8 @@ from calibration.robot.importing.importing import (
     recorded_views,
     write_dataset,
 )
-from calibration.robot.importing.patterns.image_views import View
+from calibration.robot.importing.look.judging import ImageJudge, JudgedImage
 from calibration.robot.importing.recorded import LEAST_VIEWS, imported_moments
-from calibration.robot.importing.watch.arrivals import Arrivals
-from calibration.robot.importing.watch.followed_bag import FollowedBag
-from calibration.robot.importing.watch.judging import ImageJudge, JudgedImage
 from calibration.robot.next_pose.candidates import candidates_of
 from calibration.robot.simulation.collection.dataset_folder import refuse_existing
 

@@ -1,6 +1,6 @@
 """Reading of robot descriptions: URDF, and xacro, which the library xacrodoc expands to URDF without ROS.
 
-A xacro has expressions of Python: a part of them is evaluated by `robot.expansion`, never by Python itself, in a
+A xacro has expressions of Python: a part of them is evaluated by `xacro_expressions`, never by Python itself, in a
 separate process with an empty environment, which reads a few folders only, and with limits of its time, its memory and
 its output.
 """
@@ -25,7 +25,7 @@ PLACES = "packages are looked for beside the file's own one and in its repositor
 SECONDS, MEMORY = 30, 1024**3
 """Limits of the expansion: seconds of processor time, and bytes."""
 _SYSTEM = ("/proc", "/sys", "/run")
-_CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.robot.expansion.child import main; main()"
+_CHILD = "import sys; sys.path.insert(0, sys.argv.pop(1)); from calibration.robot.xacro_expansion import main; main()"
 _SOURCES = str(Path(__file__).resolve().parents[2])
 _REFUSED, _WITHOUT_ARGUMENT = 3, 4  # exit codes of the child: it needs more than is expanded; an argument has no value
 

@@ -44,7 +44,7 @@ from calibration.pipeline.matrix.cell_result import Cell
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.results import read_results
-from calibration.robot.exports.urdf import calibrated_urdf
+from calibration.robot.calibrated_urdf import calibrated_urdf
 from calibration.robot.importing.bags.bag import open_bag
 from calibration.robot.importing.bags.messages import depth_of, image_of
 from calibration.robot.importing.bags.survey import survey
@@ -53,8 +53,8 @@ from calibration.robot.importing.description import Bags, ImportDescription, Pat
 from calibration.robot.importing.files.camera_files import read_lens
 from calibration.robot.importing.files.samples import Samples, read_samples
 from calibration.robot.importing.files.target_files import pattern_configuration
+from calibration.robot.importing.image_views import read_image
 from calibration.robot.importing.importing import import_data, read_description
-from calibration.robot.importing.patterns.image_views import read_image
 from calibration.robot.importing.videos import decoded_frames
 from calibration.robot.simulation.motion.sequence import read_motion
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set

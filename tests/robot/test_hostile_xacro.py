@@ -255,8 +255,8 @@ def python(program: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-KERNEL = "from calibration.robot.expansion.child import *; restrict_by_kernel([Path({!r})]) or sys.exit(77)\n"
-AUDIT = "from calibration.robot.expansion.child import *; import socket; restrict_by_audit([Path({!r})])\n"
+KERNEL = "from calibration.robot.confinement import *; restrict_by_kernel([Path({!r})]) or sys.exit(77)\n"
+AUDIT = "from calibration.robot.confinement import *; import socket; restrict_by_audit([Path({!r})])\n"
 
 
 @pytest.mark.parametrize("place", ["/proc/{parent}/environ", "/proc/{parent}/mem", "/etc/passwd", "{folder}/../other"])

@@ -10,7 +10,7 @@ from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.robot import robot_description
-from calibration.robot.exports.formats import exported
+from calibration.robot.exports import exported
 from calibration.robot.importing.importing import import_data
 from calibration.robot.robot_description import XacroInputs, read_robot_description
 from calibration.robot.simulation.system import read_system

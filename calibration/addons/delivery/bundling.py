@@ -51,7 +51,7 @@ from calibration.pipeline.matrix.cell_verdict import judge_results
 from calibration.pipeline.results import PipelineResults, own_details
 from calibration.pipeline.stages.exporting import calibrated_dataset, files_for_robot
 from calibration.pipeline.system import Exports, System, chosen_systems
-from calibration.robot.exports.calibrated import calibrated
+from calibration.robot.exports import calibrated
 
 EPOCH_VARIABLE = "SOURCE_DATE_EPOCH"
 MAX_DESCRIPTION_BYTES = 16 * 1024**2

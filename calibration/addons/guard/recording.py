@@ -12,7 +12,7 @@ from calibration.robot.importing.bags.messages import image_of
 from calibration.robot.importing.bags.survey import cameras_of, no_images
 from calibration.robot.importing.bags.video_packets import KeyFrames
 from calibration.robot.importing.description import SensorDescription
-from calibration.robot.importing.look.sources import ImageSource, images_at, topic_images
+from calibration.robot.importing.look.images import ImageSource, images_at, topic_images
 from calibration.robot.labelling.detection import Image, grey
 
 CLOUD_TYPES = ("sensor_msgs/msg/PointCloud2", *LIVOX_TYPES)

@@ -86,7 +86,7 @@ def reduced_jpeg(path: Path) -> bytes | None:
         if path.stat().st_size <= MAX_UNCHANGED_BYTES and (data := path.read_bytes()).startswith(JPEG_MAGIC):
             return data
         cv2 = optional("cv2", "a smaller image")
-        from calibration.robot.importing.patterns.image_views import read_image  # imports OpenCV
+        from calibration.robot.importing.image_views import read_image  # imports OpenCV
 
         image: Any = read_image(path)
     except (OSError, CalibrationError):

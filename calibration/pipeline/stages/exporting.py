@@ -15,7 +15,7 @@ from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.results import Exported, own_details
 from calibration.pipeline.stages.running import PipelineRun
 from calibration.pipeline.system import Exports, System
-from calibration.robot.exports.formats import exported
+from calibration.robot.exports import exported
 
 EXPORTS_FOLDER = "exports"
 CALIBRATION_FILE = "calibration.json"

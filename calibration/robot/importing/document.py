@@ -19,7 +19,7 @@ from calibration.engine.dataset.sensors import camera_document
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
-from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment
+from calibration.robot.importing.image_views import FoundCorners, LabelledMoment
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.sensors.sensor import range_label_document
 

@@ -59,9 +59,8 @@ from calibration.robot.importing.files.camera_files import KnownLens, known_mode
 from calibration.robot.importing.files.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
 from calibration.robot.importing.files.target_files import pattern_configuration
-from calibration.robot.importing.patterns.contact_sheet import contact_sheet
-from calibration.robot.importing.patterns.image_views import LabelledMoment, View, check_copies, view_of_file
-from calibration.robot.importing.patterns.near_miss import check_told_apart
+from calibration.robot.importing.image_views import LabelledMoment, View, check_copies, contact_sheet, view_of_file
+from calibration.robot.importing.near_miss import check_told_apart
 from calibration.robot.importing.recorded import Recorded, best_moments, check_seen, check_views, imported_moments
 from calibration.robot.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
 from calibration.robot.importing.videos import extracted_frames, frame_tasks, frames_by_camera, survey_videos

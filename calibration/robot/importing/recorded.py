@@ -26,8 +26,8 @@ from calibration.robot.importing.bags.range_views import LabelledRange, RangeVie
 from calibration.robot.importing.bags.stillness import BagMoment, evenly
 from calibration.robot.importing.document import Imported, dataset_document
 from calibration.robot.importing.files.camera_files import KnownLens
-from calibration.robot.importing.patterns.image_views import LabelledMoment, View, check_sizes, read_image
-from calibration.robot.importing.patterns.near_miss import check_board, check_spacing, never_seen
+from calibration.robot.importing.image_views import LabelledMoment, View, check_sizes, read_image
+from calibration.robot.importing.near_miss import check_board, check_spacing, never_seen
 from calibration.robot.importing.results import LeftOut, RejectedView
 from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.points import PatternPoints

@@ -16,8 +16,7 @@ from calibration.robot.importing.bags.recordings import SeenImage, SeenImages
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment
 from calibration.robot.importing.description import SensorDescription
 from calibration.robot.importing.files.confined_decoding import FRAME_HEADER, confined_decoding
-from calibration.robot.importing.patterns.contact_sheet import thumbnail, thumbnail_of
-from calibration.robot.importing.patterns.image_views import LabelledMoment, encoded, view_of_image
+from calibration.robot.importing.image_views import LabelledMoment, encoded, thumbnail, thumbnail_of, view_of_image
 from calibration.robot.labelling.detection import CornerDetector, Image
 
 MAX_FRAMES = 200_000

@@ -20,8 +20,7 @@ from calibration.addons.delivery.in_use import (
 from calibration.addons.delivery.manifest import BundledTransform
 from calibration.base import InputError
 from calibration.engine.geometry.rotations import from_rpy, to_quaternion, to_rpy
-from calibration.robot.exports.calibrated import Calibrated
-from calibration.robot.exports.formats import FILES
+from calibration.robot.exports import FILES, Calibrated
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
 
 from .bundles import LEFT, RIGHT, SYSTEM, URDF, camera, camera_info, messages, write_yaml

@@ -20,8 +20,8 @@ from calibration.robot.importing.files.camera_files import read_lens
 from calibration.robot.importing.files.samples import Samples as PosesDescription
 from calibration.robot.importing.files.samples import read_samples
 from calibration.robot.importing.files.target_files import pattern_configuration
+from calibration.robot.importing.image_views import decoded_image
 from calibration.robot.importing.importing import import_data, read_description
-from calibration.robot.importing.patterns.image_views import decoded_image
 from tests.robot.importing.conftest import BOARD, CAMERAS, camera_info, change
 from tests.robot.importing.hand_eye import WRITERS, Samples, simulated
 

@@ -22,8 +22,8 @@ from calibration.robot.importing.bags.motion import MovingBoards
 from calibration.robot.importing.bags.stillness import BagImage, moments_at
 from calibration.robot.importing.document import dataset_document
 from calibration.robot.importing.files.camera_files import KnownLens
+from calibration.robot.importing.image_views import FoundCorners, LabelledMoment, View
 from calibration.robot.importing.importing import import_data
-from calibration.robot.importing.patterns.image_views import FoundCorners, LabelledMoment, View
 from calibration.robot.importing.recorded import Recorded, imported_moments
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scene import Board, Scene

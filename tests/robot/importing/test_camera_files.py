@@ -28,8 +28,7 @@ from calibration.engine.geometry.lenses import (
     PlumbBob,
 )
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.robot.exports.calibrated import calibrated
-from calibration.robot.exports.formats import FILES, kalibr_camchain
+from calibration.robot.exports import FILES, calibrated, kalibr_camchain
 from calibration.robot.importing.files.camera_files import read_lens
 from tests.engine.estimation.systems import covering
 from tests.robot.importing.conftest import DATASETS, camera_info

@@ -21,10 +21,9 @@ from rosbags.rosbag2.reader import zstd
 from calibration import MAX_IMAGE_PIXELS
 from calibration.base import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
-from calibration.robot.importing.bags.bag import open_bag
+from calibration.robot.importing.bags.bag import UnpackingBudget, UnpackingError, open_bag
 from calibration.robot.importing.bags.messages import depth_of, image_of
-from calibration.robot.importing.bags.unpacking import UnpackingBudget, UnpackingError
-from calibration.robot.importing.patterns.image_views import read_image
+from calibration.robot.importing.image_views import read_image
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.marked_boards import CharucoDetector
 from tests.campaigns.fuzz import bounded
@@ -171,8 +170,8 @@ def test_a_bag_that_unpacks_to_too_much_is_refused(
     kind: Kind, compression: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("UNPACKED_FREELY", "UNPACKED_FREELY_TO_DISK"):
-        monkeypatch.setattr(f"calibration.robot.importing.bags.unpacking.{name}", 1 << 16)
-    monkeypatch.setattr("calibration.robot.importing.bags.unpacking.MAX_RATIO", 2)
+        monkeypatch.setattr(f"calibration.robot.importing.bags.bag.{name}", 1 << 16)
+    monkeypatch.setattr("calibration.robot.importing.bags.bag.MAX_RATIO", 2)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
     (tmp_path / "temporary").mkdir()
     path = _of_compression(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, compression)
@@ -185,8 +184,8 @@ def test_a_bag_that_unpacks_to_too_much_is_refused(
 
 
 def test_a_budget_is_for_one_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.robot.importing.bags.unpacking.UNPACKED_FREELY", 5_000_000)
-    monkeypatch.setattr("calibration.robot.importing.bags.unpacking.MAX_RATIO", 0)
+    monkeypatch.setattr("calibration.robot.importing.bags.bag.UNPACKED_FREELY", 5_000_000)
+    monkeypatch.setattr("calibration.robot.importing.bags.bag.MAX_RATIO", 0)
     with open_bag([_of_compression(tmp_path / "a.bag", "bag", "bz2")]) as bag:
         for _ in range(5):
             assert len(list(bag.messages(["/image"]))) == 3

@@ -14,7 +14,7 @@ import pytest
 from calibration.__main__ import main
 from calibration.robot.importing.look.images import blur_of
 from calibration.robot.importing.look.looking import look
-from calibration.robot.importing.look.report import LookResults
+from calibration.robot.importing.results import LookResults
 from tests.robot.importing.arm import keys, record_arm
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile
 from tests.robot.importing.conftest import BOARD, CAMERAS, FOCAL, change

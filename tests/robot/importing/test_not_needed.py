@@ -19,8 +19,8 @@ from calibration.engine.geometry.transforms import distance, transform
 from calibration.robot.importing.bags.bag import VIDEO_TYPES
 from calibration.robot.importing.bags.motion import MotionLog
 from calibration.robot.importing.bags.survey import IMAGE_TYPES
+from calibration.robot.importing.image_views import decoded_image
 from calibration.robot.importing.importing import import_data
-from calibration.robot.importing.patterns.image_views import decoded_image
 from calibration.robot.importing.results import ImportResults
 from tests.robot.importing.arm import ON_FLANGE, SYSTEM, keys, record_arm
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from calibration.robot.importing.patterns.image_views import encoded
+from calibration.robot.importing.image_views import encoded
 
 
 @pytest.mark.parametrize("shape", [(48, 64), (48, 64, 3), (1, 1), (7, 3, 3)])

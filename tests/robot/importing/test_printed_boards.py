@@ -16,8 +16,8 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant
-from calibration.robot.importing.patterns.image_views import View, view_of_image
-from calibration.robot.importing.patterns.near_miss import check_spacing, check_told_apart, never_seen
+from calibration.robot.importing.image_views import View, view_of_image
+from calibration.robot.importing.near_miss import check_spacing, check_told_apart, never_seen
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image
 from calibration.robot.simulation.rendering.texture import texture

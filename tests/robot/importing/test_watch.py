@@ -18,9 +18,9 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.geometry.rotations import to_quaternion
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.pipeline.watching import WatchedRecording
-from calibration.robot.importing.watch import judging
-from calibration.robot.importing.watch.arrivals import Arrivals
-from calibration.robot.importing.watch.judging import tilt_of
+from calibration.robot.importing.arrivals import Arrivals
+from calibration.robot.importing.look import judging
+from calibration.robot.importing.look.judging import tilt_of
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind
 from tests.robot.importing.conftest import BOARD as PRINTED
 from tests.robot.importing.conftest import CAMERAS, DATASETS, FOCAL, camera_info, change

@@ -22,7 +22,7 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import from_quaternion
-from calibration.robot.importing.patterns.image_views import decoded_image, stretched
+from calibration.robot.importing.image_views import decoded_image, stretched
 from calibration.robot.labelling.detection import DepthImage, Image
 
 _CONVERSION_OF_ENCODING = {

@@ -28,7 +28,7 @@ from calibration.engine.geometry.transforms import inverse
 from calibration.robot.importing.bags.bag import LIVOX_TYPES
 from calibration.robot.importing.bags.messages import depth_of
 from calibration.robot.importing.bags.survey import SensorTopic
-from calibration.robot.importing.patterns.image_views import LabelledMoment, encoded
+from calibration.robot.importing.image_views import LabelledMoment, encoded
 from calibration.robot.labelling.depth import label_depth
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints, label_points

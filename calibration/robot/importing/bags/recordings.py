@@ -31,8 +31,14 @@ from calibration.robot.importing.description import (
     carriers,
     moving_bodies,
 )
-from calibration.robot.importing.patterns.contact_sheet import thumbnail, thumbnail_of
-from calibration.robot.importing.patterns.image_views import LabelledMoment, View, encoded, view_of_image
+from calibration.robot.importing.image_views import (
+    LabelledMoment,
+    View,
+    encoded,
+    thumbnail,
+    thumbnail_of,
+    view_of_image,
+)
 from calibration.robot.importing.results import RejectedView
 from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image
 

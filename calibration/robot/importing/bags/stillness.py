@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.robot.importing.bags.bag import NS_PER_S
-from calibration.robot.importing.patterns.image_views import View
+from calibration.robot.importing.image_views import View
 
 MAX_GAP_SECONDS = 0.5
 """s: images that are farther apart give no information on the motion between them."""

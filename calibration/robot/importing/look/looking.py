@@ -13,17 +13,20 @@ from calibration.robot.importing.bags.survey import IMAGE_TYPES, MAX_STEP_BACK, 
 from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.importing import read_description
 from calibration.robot.importing.look.images import (
+    ImageSource,
     LookedFor,
     Sample,
+    described_images,
     described_pattern,
+    images_at,
     is_still,
     measured,
     pattern_in,
     sample,
+    topic_images,
 )
-from calibration.robot.importing.look.report import CameraSummary, FramesSummary, LookResults, Missing, TopicSummary
-from calibration.robot.importing.look.sources import ImageSource, described_images, images_at, topic_images
 from calibration.robot.importing.look.topics import NOT_CALIBRATED, BagContent, frames_summary, read_content
+from calibration.robot.importing.results import CameraSummary, FramesSummary, LookResults, Missing, TopicSummary
 from calibration.robot.simulation.collection.record import image_cells
 
 YOUR_DATA = "docs/your-data.md"

@@ -23,8 +23,8 @@ from calibration.robot.importing.bags.survey import (
 )
 from calibration.robot.importing.bags.video_packets import KeyFrames
 from calibration.robot.importing.description import ImportDescription, SensorDescription
-from calibration.robot.importing.look.report import FramesSummary, TopicSummary
-from calibration.robot.importing.look.sources import MAX_CAMERAS
+from calibration.robot.importing.look.images import MAX_CAMERAS
+from calibration.robot.importing.results import FramesSummary, TopicSummary
 
 MAX_BYTES = 20_000_000_000
 """Limit of the content of the messages that are read; of a longer recording only its begin is looked at."""

@@ -15,10 +15,9 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry.lenses import Rational
 from calibration.engine.geometry.rotations import from_quaternion, from_rpy
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, transform
-from calibration.robot.exports.calibrated import Calibrated, calibrated
-from calibration.robot.exports.formats import FILES, FORMATS, file_name
+from calibration.robot.exports import FILES, FORMATS, Calibrated, calibrated, file_name
 from tests.pipeline.conftest import DATASETS
-from tests.robot.exports.test_urdf import moved, pose
+from tests.robot.test_calibrated_urdf import moved, pose
 
 
 @pytest.fixture(scope="module")

@@ -12,10 +12,10 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import Pattern
+from calibration.robot.importing.arrivals import Arrival
+from calibration.robot.importing.image_views import View, read_image, view_of_image
 from calibration.robot.importing.look.images import LookedFor, measured
 from calibration.robot.importing.look.looking import MAX_BLUR_PX, MAX_SATURATED, MIN_WHITE
-from calibration.robot.importing.patterns.image_views import View, read_image, view_of_image
-from calibration.robot.importing.watch.arrivals import Arrival
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import grey
 from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS, image_cells

@@ -15,7 +15,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import APRILGRID_TAGS, PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.pattern import CIRCLE_KINDS, UNMARKED_KINDS, PatternKind, PlacedTag
-from calibration.robot.importing.patterns.image_views import View, read_image
+from calibration.robot.importing.image_views import View, read_image
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, grey
 from calibration.robot.labelling.marked_boards import BORDER_MODULES, CharucoDetector

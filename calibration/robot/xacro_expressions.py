@@ -8,6 +8,8 @@ from typing import Any
 
 from xacro import NameSpace, YamlDictWrapper
 
+from calibration.robot.confinement import RefusedError
+
 MAX_LENGTH = 10_000
 """Limit of an expression's characters."""
 MAX_STEPS = 200_000
@@ -69,10 +71,6 @@ _SPECIFIERS = re.compile(r"%(?:\(\w*\))?[-+ #0]*(\*|\d*)(?:\.(\*|\d*))?")
 _MAX_SHOWN = 60
 _MAX_WIDTH = 3
 """Limit of the digits of a width in ``'%5.3f' % x``."""
-
-
-class RefusedError(Exception):
-    """An expression, or a file, that the expansion does not take."""
 
 
 def evaluate(expression: str, symbols: Mapping[str, Any], functions: Container[int]) -> Any:

@@ -13,8 +13,8 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import retract, transform
-from calibration.robot.exports.calibrated import calibrated
-from calibration.robot.exports.urdf import calibrated_urdf
+from calibration.robot.calibrated_urdf import calibrated_urdf
+from calibration.robot.exports import calibrated
 from tests.pipeline.conftest import DATASETS
 
 
