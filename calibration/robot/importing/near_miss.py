@@ -28,6 +28,8 @@ MIN_TAG_IMAGES = 2
 """Least number of images with one id, half of them at least, that indicate a tag: clutter reads as one id once."""
 LEAST_BOARD = (4, 4)
 """Corners of the smallest chessboard that is looked for."""
+WHOLE_BOARD = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
+"""Search for all corners of a board of unknown size: without the second, of 12 x 19 corners a part is found."""
 MAX_BOARD_SEARCHES = 4
 """Images that are searched for a chessboard or circles of unknown number, which takes long where there are none."""
 MIN_GRID_CIRCLES, MAX_GRID_CIRCLES = 20, 400
@@ -120,7 +122,7 @@ def shown_chessboard(images: Sequence[Image]) -> PatternConfiguration | None:
     """Return the chessboard, of any number of squares, in one of some grey images; None without one."""
     for image in _some_images(images):
         _, smaller = next(reduced_images(image))
-        found, _, meta = cv2.findChessboardCornersSBWithMeta(smaller, LEAST_BOARD, cv2.CALIB_CB_LARGER)
+        found, _, meta = cv2.findChessboardCornersSBWithMeta(smaller, LEAST_BOARD, WHOLE_BOARD)
         rows, columns = meta.shape[:2] if found else (0, 0)
         if found and _is_in(
             image, board := _pattern_of_unit_size("chessboard", (columns, rows))

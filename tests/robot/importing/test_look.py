@@ -202,12 +202,14 @@ def test_an_image_that_samples_name_and_is_gone_is_bad_input(
     assert "0.png" in capsys.readouterr().err
 
 
-def test_a_chessboard_of_any_size_is_found(tmp_path: Path) -> None:
-    board = np.kron((np.indices((7, 10)).sum(0) % 2) * 180 + 40, np.ones((40, 40))).astype(np.uint8)
+@pytest.mark.parametrize(("columns", "rows"), [(9, 6), (12, 19)])
+def test_a_chessboard_of_any_size_is_found(tmp_path: Path, columns: int, rows: int) -> None:
+    board = np.kron((np.indices((rows + 1, columns + 1)).sum(0) % 2) * 180 + 40, np.ones((40, 40))).astype(np.uint8)
     shown = cv2.copyMakeBorder(board, 60, 60, 60, 60, cv2.BORDER_CONSTANT, value=220)
-    cv2.imwrite(str(tmp_path / "0.png"), shown)
+    turned = cv2.getRotationMatrix2D((shown.shape[1] / 2, shown.shape[0] / 2), 15, 0.6)
+    cv2.imwrite(str(tmp_path / "0.png"), cv2.warpAffine(shown, turned, shown.shape[1::-1], borderValue=220))
     results = look(tmp_path)
-    assert results.pattern == "chessboard of 9 x 6 corners"
+    assert results.pattern == f"chessboard of {columns} x {rows} corners"
     assert results.cameras[tmp_path.name].with_pattern == 1
 
 

@@ -65,13 +65,13 @@ class Form:
     pairs: bool = False
 
 
-def storage(path: Path) -> None:
+def storage(path: Path, arm: str = "T1_", seen: str = "T2_") -> None:
     """OpenCV's own, with numbered matrices of the arm and of the inverse pattern."""
     file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     file.write("frameCount", len(ARM))
     for i, (a, b) in enumerate(zip(ARM, inverse(SEEN), strict=True)):
-        file.write(f"T1_{i}", a)
-        file.write(f"T2_{i}", b)
+        file.write(f"{arm}{i}", a)
+        file.write(f"{seen}{i}", b)
     file.release()
 
 
@@ -250,6 +250,11 @@ FORMS: dict[str, Form] = {
             )
         ),
         {"file": "f.yaml", "key": "arm", "pattern": {"key": "board"}},
+        pairs=True,
+    ),
+    "numbered matrices of FileStorage in XML": Form(
+        lambda at: storage(at / "f.xml", "EEF_", "seen_"),
+        {"file": "f.xml", "key": "EEF_", "pattern": {"key": "seen_", "inverse": True}},
         pairs=True,
     ),
     "numbered objects": Form(

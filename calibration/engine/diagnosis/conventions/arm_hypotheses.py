@@ -1,5 +1,6 @@
 """Hypotheses on the poses of an arm, and of a pattern as it was measured: directions, rotations, units, joints."""
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -34,8 +35,8 @@ MOST_READINGS = 6
 NAME_OF_UNIT = {0.001: "mm", 0.01: "cm", 0.0254: "inches"}
 UNIT_OFF = 0.1
 """Relative tolerance of a unit."""
-LEAST_OFF, MOST_OFF = 0.01, 0.5
-"""Relative deviations of a size from the right one between which it is tried."""
+LEAST_OFF, MOST_OFF = math.log(1.01), math.log(4)
+"""Logarithms of the factors of a size between which another one is tried."""
 REWEIGHTING_ROUNDS = 5
 """Number of times that a scale is solved again with less weight on views that do not fit."""
 QUARTER_TURN = np.pi / 2
@@ -222,7 +223,7 @@ def scales(recording: Recording) -> Iterator[Hypothesis]:
                 _units_in_import("pattern's", unit),
                 partial(with_scaled_patterns, dataset, size),
             )
-    if not LEAST_OFF < abs(scale - 1) < MOST_OFF:
+    if not LEAST_OFF < abs(math.log(scale)) < MOST_OFF:
         return
     pattern = dataset.patterns[view.pattern]
     if recording.has_measured_poses:

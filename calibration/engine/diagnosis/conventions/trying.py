@@ -49,6 +49,8 @@ MAX_FITTING_MISFIT = 3.0
 MAX_MISFIT_RATIO, MAX_MISFIT_RATIO_OF_POSES = 0.1, 0.2
 """Misfit of a convention that is named, relative to that of the recording as it is; of measured poses, whose own errors
 no view tells."""
+MAX_MISFIT_RATIO_WITHOUT_RESULT = 0.25
+"""The same where there is no result as it is: an arm that errs by some mm fits no convention ten times better."""
 BETTER_IN_NOISE, IN_NOISE = 0.5, 1.5
 """The same for a misfit that is as small, up to this factor, as that of each view's own fit."""
 MAX_RATIO_TO_BEST = 2.0
@@ -79,9 +81,15 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
     if now.noticed < WORTH_TRYING:
         return ()
     recording = Recording(description)
-    fitting = _fitting_hypotheses(recording, HYPOTHESES_BY_PRIORITY, options, now) or _fitting_hypotheses(
-        recording, SLOW_HYPOTHESES, options, now
-    )
+    better = MAX_MISFIT_RATIO_OF_POSES if recording.has_measured_poses else MAX_MISFIT_RATIO
+    fitting: list[tuple[Hypothesis, Misfit]] = []
+    tried: list[tuple[Hypothesis, Misfit]] = []
+    for table in (HYPOTHESES_BY_PRIORITY, SLOW_HYPOTHESES):
+        if not fitting:
+            tried += _nearest_hypotheses(recording, table, options)
+            fitting = [each for each in tried if _fits(each[1], now, better)]
+    if not fitting and not _has_result(calibration):
+        fitting = [each for each in tried if each[1].noticed < MAX_MISFIT_RATIO_WITHOUT_RESULT * now.noticed]
     if not fitting:
         return _poses_of_other_images(recording)
     best = min(found.noticed for _, found in fitting)
@@ -90,7 +98,8 @@ def conventions(calibration: Calibration | None, description: Dataset, options: 
     sensors = tuple(dict.fromkeys(name for h, _ in alike for name in h.sensors))
     names = ", or ".join(dict.fromkeys(name for name, _ in told))
     remedies = "; or ".join(dict.fromkeys(remedy for _, remedy in told))
-    text = f"with {names}, the labels fit: {alike[0][1].text} (as they are: {now.text}); {remedies}"
+    fit = "fit" if _fits(alike[0][1], now, better) else "fit better, though not well"
+    text = f"with {names}, the labels {fit}: {alike[0][1].text} (as they are: {now.text}); {remedies}"
     return (Finding("convention", "red", text, sensors),)
 
 
@@ -128,7 +137,7 @@ def doubts(calibration: Calibration, found: tuple[Finding, ...]) -> bool:
 def _as_it_is(calibration: Calibration | None, description: Dataset, options: Options) -> Misfit:
     """Return the misfit of the recording as it was read; of a calibration, if that is better."""
     found = misfit(description, options)
-    if calibration is None or not calibration.converged:
+    if calibration is None or not _has_result(calibration):
         return found
     reached = _misfit_of_calibration(calibration)
     views = sum(len(collection.labels) for collection in description.collections)
@@ -140,23 +149,22 @@ def _misfit_of_calibration(calibration: Calibration) -> Misfit:
     return misfit_at(calibration.solution.setup, calibration.solution.values)
 
 
-def _fitting_hypotheses(
-    recording: Recording, table: Sequence[Hypotheses], options: Options, now: Misfit
+def _has_result(calibration: Calibration | None) -> bool:
+    """Whether a calibration is one of all that was asked for."""
+    return calibration is not None and calibration.converged and not calibration.not_determined
+
+
+def _nearest_hypotheses(
+    recording: Recording, table: Sequence[Hypotheses], options: Options
 ) -> list[tuple[Hypothesis, Misfit]]:
-    """Return the hypotheses of a table by which a recording fits, in its order."""
+    """Return the hypotheses of a table by which a recording fits best, in its order, after a few steps."""
     tried = [
         (each, misfit(each.dataset(), options, steps=False)) for hypotheses in table for each in hypotheses(recording)
     ]
     nearest = sorted(found.noticed for _, found in tried if found.exists)[:MAX_REFINED_CONVENTIONS]
-    refined = ((each, improved(found)) for each, found in tried if found.exists and found.noticed <= nearest[-1])
-    better = MAX_MISFIT_RATIO_OF_POSES if recording.has_measured_poses else MAX_MISFIT_RATIO
-    return [
-        (each, found)
-        for each, found in refined
-        if found.noticed < MAX_FITTING_MISFIT and _is_better(found, now, better)
-    ]
+    return [(each, improved(found)) for each, found in tried if found.exists and found.noticed <= nearest[-1]]
 
 
-def _is_better(found: Misfit, now: Misfit, better: float) -> bool:
+def _fits(found: Misfit, now: Misfit, better: float) -> bool:
     limit = BETTER_IN_NOISE if found.above_noise < IN_NOISE else better
-    return found.noticed < limit * now.noticed
+    return found.noticed < MAX_FITTING_MISFIT and found.noticed < limit * now.noticed

@@ -324,28 +324,22 @@ def _only_array(root: Node) -> Node | None:
 
 
 def _poses_of_name(node: Node, name: str) -> Iterator[Node]:
-    """Yield the poses of a name: in an object, numbered in it, or in each element of its list."""
-    if entries := list(_entries(node)):
+    """Yield the poses of a name: in an object, numbered in it, or in each of its entries or of its list's."""
+    keys = [key for key in node.value if isinstance(key, str)] if isinstance(node.value, dict) else []
+    numbered = [key for key in keys if re.fullmatch(re.escape(name) + r"[0-9]{1,9}", key)]
+    if name in keys:
+        yield from _poses_in_list(node[name], node.get("image"))
+    elif numbered:
+        yield from (node[key] for key in sorted(numbered, key=lambda key: int(key.removeprefix(name))))
+    elif f"{name}_rvec" in keys:
+        yield Node(node.file, (*node.keys, name), {key: node[f"{name}_{key}"].value for key in ("rvec", "tvec")})
+    elif entries := list(_entries(node)):
         found = [list(_poses_of_name(element, name)) for element in entries]
         for element, poses in zip(entries, found, strict=True):
             if not poses and any(found):
                 raise element.fault(f"missing key '{name}'")
             yield from poses
-        return
-    if not isinstance(node.value, dict):
-        return
-    numbered = sorted(
-        (int(key.removeprefix(name)), key)
-        for key in node.value
-        if isinstance(key, str) and re.fullmatch(re.escape(name) + r"[0-9]{1,9}", key)
-    )
-    if name in node.value:
-        yield from _poses_in_list(node[name], node.get("image"))
-    elif numbered:
-        yield from (node[key] for _, key in numbered)
-    elif f"{name}_rvec" in node.value:
-        yield Node(node.file, (*node.keys, name), {key: node[f"{name}_{key}"].value for key in ("rvec", "tvec")})
-    elif inner := _inner_list(node):
+    elif keys and (inner := _inner_list(node)):
         yield from _poses_of_name(inner, name)
 
 

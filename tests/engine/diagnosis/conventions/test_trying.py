@@ -27,7 +27,7 @@ from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.start.turned_boards import with_turned
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.lenses import PlumbBob
-from calibration.engine.geometry.transforms import inverse, transform
+from calibration.engine.geometry.transforms import inverse, transform, translation
 from tests.engine.estimation import systems
 from tests.engine.estimation.scenes import PINHOLE, camera
 from tests.thorough import thorough
@@ -179,6 +179,14 @@ def test_measured_poses_by_another_convention(change: Callable[[Array], Array], 
 
 def test_the_size_of_a_board_before_an_arm_is_named_with_its_squares() -> None:
     assert "squares of 60.1 mm for 72" in first_reason(with_scaled_patterns(arm(), 1.2))
+
+
+def test_a_board_of_twice_the_size_is_named_before_an_arm_that_errs_by_millimetres() -> None:
+    random = np.random.default_rng(0)
+    shaken = with_poses(arm(), lambda T: T @ translation(random.normal(size=(len(T), 3), scale=0.008)), "eye_to_hand")
+    assert conventions(None, shaken, ROUGH) == ()
+    [found] = conventions(None, with_scaled_patterns(shaken, 2.1), ROUGH)
+    assert "mm for 126 mm, the labels fit better, though not well" in found.text
 
 
 RIG_MISTAKES: dict[str, tuple[Callable[[Dataset], Dataset], str]] = {
