@@ -13,6 +13,8 @@ This page hands out what most modules need: errors, text, files and documents. T
 from calibration.base.documents import RepeatedKeyError as RepeatedKeyError
 from calibration.base.documents import line_of as line_of
 from calibration.base.documents import parse_json as parse_json
+from calibration.base.documents import parse_json_of as parse_json_of
+from calibration.base.documents import read_json as read_json
 from calibration.base.documents import read_yaml as read_yaml
 from calibration.base.documents import with_variables as with_variables
 from calibration.base.errors import CalibrationError as CalibrationError

@@ -75,6 +75,32 @@ def parse_json(text: str | bytes, *, finite: bool = True) -> Any:
     )
 
 
+def read_json(path: Path | str, limit: int, what: str) -> Any:
+    """Parse a JSON file of finite numbers.
+
+    Args:
+        path: the file.
+        limit: size limit, bytes.
+        what: description of the expected content for messages: "a reference".
+
+    Raises:
+        InputError: the file does not exist, is too large, or is not JSON.
+    """
+    return parse_json_of(read_bytes(path, limit, what), path, what)
+
+
+def parse_json_of(content: str | bytes, where: object, what: str) -> Any:
+    """Parse JSON of finite numbers; an error begins with ``where``, and names what was expected.
+
+    Raises:
+        InputError: it is not valid JSON.
+    """
+    try:
+        return parse_json(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{where}: this is no JSON, {what} was expected: {error}") from None
+
+
 def _object_without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) != len(pairs):

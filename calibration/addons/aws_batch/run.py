@@ -182,7 +182,7 @@ class BatchRun:
             submitted = []
             for chunk in chunks(len(places)):
                 request = submission(chunk, location, definition, self._settings, seconds=seconds, tags=tags)
-                submitted.append(self._submitting.submit(request, group, chunk.first))
+                submitted.append(self._submitting.submit(request, group, chunk.start))
                 self._following.add(submitted[-1])
             with_retries(partial(self._run.store.put, location.submitted_key, submitted_document(submitted)))
 

@@ -37,7 +37,7 @@ class Workers(Generic[Result]):
         self.waiting = 0
         """Number of functions whose result has not been returned."""
         self._work: SimpleQueue[Callable[[], Result] | None] = SimpleQueue()
-        self._answers: SimpleQueue[Result | _Failure] = SimpleQueue()
+        self._answers: SimpleQueue[Result | BaseException] = SimpleQueue()
         self._count = count
         self._stopping = False
         self._threads: list[threading.Thread] = []
@@ -65,8 +65,8 @@ class Workers(Generic[Result]):
             except Empty:
                 break
             self.waiting -= 1
-            if isinstance(answer, _Failure):
-                raise answer.error
+            if isinstance(answer, BaseException):
+                raise answer
             found.append(answer)
         return found
 
@@ -86,7 +86,7 @@ class Workers(Generic[Result]):
             try:
                 self._answers.put(work())
             except BaseException as error:  # any exception is passed to the waiting thread
-                self._answers.put(_Failure(error))
+                self._answers.put(error)
 
 
 def in_threads(count: int, work: Iterable[Callable[[], Result]], ahead: int = 1000) -> Iterator[Result]:
@@ -104,11 +104,6 @@ def in_threads(count: int, work: Iterable[Callable[[], Result]], ahead: int = 10
             yield from workers.take(None)
     finally:
         workers.stop()
-
-
-class _Failure:
-    def __init__(self, error: BaseException) -> None:
-        self.error = error
 
 
 _CHUNK_BYTES = 1024**2

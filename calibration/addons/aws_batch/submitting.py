@@ -51,19 +51,9 @@ first, with a verdict; it is also above Batch's minimum of 60 s."""
 _UNFIT_FOR_NAME = re.compile(r"[^A-Za-z0-9_-]+")
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """Jobs of a group that are submitted together: ``first`` and its successors."""
-
-    first: int
-    """Index in the group."""
-    count: int
-
-
-def chunks(count: int) -> tuple[Chunk, ...]:
-    """Split the jobs of a group into arrays of Batch's maximum size."""
-    firsts = range(0, count, MAX_CHILDREN)
-    return tuple(Chunk(first, min(MAX_CHILDREN, count - first)) for first in firsts)
+def chunks(count: int) -> list[range]:
+    """Split the indices of a group's jobs into arrays of Batch's maximum size."""
+    return [range(count)[first : first + MAX_CHILDREN] for first in range(0, count, MAX_CHILDREN)]
 
 
 def attempt_seconds(jobs: Iterable[Job]) -> int | None:
@@ -76,7 +66,7 @@ def attempt_seconds(jobs: Iterable[Job]) -> int | None:
 
 
 def submission(
-    chunk: Chunk,
+    chunk: range,
     location: Location,
     definition: str,
     settings: BatchSettings,
@@ -87,15 +77,15 @@ def submission(
     """Return the request that submits a chunk.
 
     Args:
-        chunk: jobs of the group.
+        chunk: indices of jobs in the group, which follow each other.
         location: location of the group.
         definition: ARN of the job definition, with its revision.
         settings: settings with the queue, the share and the user's tags.
         seconds: time limit of an attempt, from `attempt_seconds`.
         tags: tags of the run.
     """
-    variables = {LOCATION_VARIABLE: location.text, FIRST_VARIABLE: str(chunk.first), REGION_VARIABLE: settings.region}
-    name = f"calibration-{location.run}-{location.group}-{chunk.first}"
+    variables = {LOCATION_VARIABLE: location.text, FIRST_VARIABLE: str(chunk.start), REGION_VARIABLE: settings.region}
+    name = f"calibration-{location.run}-{location.group}-{chunk.start}"
     request: dict[str, Any] = {
         "jobName": _UNFIT_FOR_NAME.sub("-", name)[:128],
         "jobQueue": settings.queue,
@@ -108,8 +98,8 @@ def submission(
         "propagateTags": True,
         "tags": {**settings.tags, **tags},
     }
-    if chunk.count > 1:
-        request["arrayProperties"] = {"size": chunk.count}
+    if len(chunk) > 1:
+        request["arrayProperties"] = {"size": len(chunk)}
     if seconds is not None:
         request["timeout"] = {"attemptDurationSeconds": seconds}
     if settings.share is not None:

@@ -55,25 +55,27 @@ OVER_BUDGET = "the budget of time was used up"
 
 
 @result
-class PseudoTestedFunction:
-    """A function whose tests pass also when its body is replaced."""
+class FunctionOfTests:
+    """A function that tests run."""
 
     path: str = field("Its file, in the repository.")
     line: int = field("The line of def.")
     name: str = field("Its name, with the classes around it.")
     changed: bool = field("Whether the change touches it.")
+
+
+@result
+class PseudoTestedFunction(FunctionOfTests):
+    """A function whose tests pass also when its body is replaced."""
+
     replacements: tuple[str, ...] = field("What its body was replaced by, each time without a test that fails.")
     tests: tuple[str, ...] = field("The tests that run it.")
 
 
 @result
-class UnjudgedFunction:
+class UnjudgedFunction(FunctionOfTests):
     """A function that tests run, of which it is not known whether they test it."""
 
-    path: str = field("Its file, in the repository.")
-    line: int = field("The line of def.")
-    name: str = field("Its name, with the classes around it.")
-    changed: bool = field("Whether the change touches it.")
     reason: str = field("Why it is not known.")
 
 

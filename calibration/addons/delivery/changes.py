@@ -12,7 +12,7 @@ from calibration.addons.delivery.bundling import Bundle
 from calibration.addons.delivery.checking import Expectations, check_bundle
 from calibration.addons.delivery.destinations import Delivery, Destination, FetchedBundle
 from calibration.addons.delivery.manifest import BundledSystem, Manifest, RefusedBundleError, version_order
-from calibration.base import CalibrationError, InputError, escape_markdown, markdown_table, parse_json
+from calibration.base import CalibrationError, InputError, escape_markdown, markdown_table, parse_json_of
 from calibration.base.records import read
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import compare
@@ -48,10 +48,7 @@ def read_contents(fetched: FetchedBundle) -> BundleContents:
         path = f"{system.name}/{CALIBRATION_FILE}"
         if (content := checked.files.get(path)) is not None:
             where = f"{fetched.where}: {path}"
-            try:
-                document = parse_json(content, finite=True)
-            except (ValueError, RecursionError) as error:
-                raise InputError(f"{where}: {error}") from None
+            document = parse_json_of(content, where, "a calibration")
             calibrations[system.name] = read(ExportedCalibration, document, where).calibration
     return BundleContents(fetched, checked.manifest, calibrations)
 

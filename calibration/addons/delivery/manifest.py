@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from itertools import dropwhile
 from typing import Annotated, Literal
 
-from calibration.base import InputError, one_line, parse_json, shorten
+from calibration.base import InputError, one_line, parse_json_of, shorten
 from calibration.base.records import field, length, matching, read, result, text_of
 from calibration.base.verdict import Verdict
 
@@ -241,8 +241,4 @@ def parse_manifest(content: bytes, where: str) -> Manifest:
     Raises:
         InputError: it is not valid; the message begins with ``where``.
     """
-    try:
-        document = parse_json(content)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}: this is not a manifest: {error}") from None
-    return read(Manifest, document, where)
+    return read(Manifest, parse_json_of(content, where, "a manifest"), where)

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 import cv2
 import numpy as np
 
-from calibration.base import InputError, parse_json, read_bytes
+from calibration.base import InputError, read_json
 from calibration.base.arrays import Array, IntArray
 from calibration.base.records import Misfit, at_least, between, field, length, matching, read, record, text_of
 from calibration.engine.baseline.calibration_document import Name, Number
@@ -266,11 +266,7 @@ def read_reference(path: Path) -> Reference | None:
         raise InputError(f"{path}: found a symbolic link, expected the reference itself")
     if not path.exists():
         return None
-    try:
-        document = parse_json(read_bytes(path, MAX_REFERENCE_BYTES, "a reference"), finite=True)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: this is not a reference: {error}") from None
-    return read(Reference, document, str(path))
+    return read(Reference, read_json(path, MAX_REFERENCE_BYTES, "a reference"), str(path))
 
 
 def _text_of_array(values: np.ndarray) -> str:

@@ -24,7 +24,7 @@ from calibration.addons.guard.recording import CameraImages
 from calibration.addons.guard.witness.checks import POSE_NOISE, MovingCamera, check_by_motion
 from calibration.addons.guard.witness.moving_frames import LENS_SIGMAS
 from calibration.addons.guard.witness.recorded_frames import MAX_MOMENTS, MOMENT_STEP
-from calibration.base import InputError, parse_json, read_bytes, write_atomically
+from calibration.base import InputError, read_json, write_atomically
 from calibration.base.arrays import Array
 from calibration.base.records import Misfit, between, field, length, read, record, text_of
 from calibration.engine.baseline.calibration_document import CalibrationDocument, Name, Number, Positive, Three
@@ -123,11 +123,7 @@ def read_dataset_calibration(path: Path) -> DatasetCalibration:
         raise InputError(f"{path}: found a symbolic link, expected the file itself")
     if not path.exists():
         return DatasetCalibration(1, {})
-    try:
-        document = parse_json(read_bytes(path, MAX_CALIBRATION_BYTES, "a dataset's calibration"), finite=True)
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: this is no calibration of a dataset: {error}") from None
-    return read(DatasetCalibration, document, str(path))
+    return read(DatasetCalibration, read_json(path, MAX_CALIBRATION_BYTES, "a dataset's calibration"), str(path))
 
 
 def write_dataset_calibration(

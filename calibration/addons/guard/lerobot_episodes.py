@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.base import InputError, parse_json, read_bytes
+from calibration.base import InputError, parse_json_of, read_bytes, read_json
 from calibration.base.arrays import Array
 from calibration.base.optional import optional
 from calibration.robot.importing.files.confined_decoding import FRAME_HEADER, confined_decoding
@@ -180,10 +180,7 @@ def _episodes_v2(folder: Path, info: Mapping[str, Any], cameras: Sequence[str], 
     size = int(_number(info.get("chunks_size", 1000), folder / INFO, "chunks_size", 1, 1e9))
     data, video = VERSIONS["v2.1"]
     for number, line in enumerate(filter(None, lines), 1):
-        try:
-            row = parse_json(line, finite=True)
-        except (ValueError, RecursionError) as error:
-            raise InputError(f"{path}:{number}: this is no JSON: {error}") from None
+        row = parse_json_of(line, f"{path}:{number}", "an episode")
         row = row if isinstance(row, dict) else {}
         index = int(_number(row.get("episode_index"), path, f"{number}: episode_index", 0, MAX_EPISODES))
         seconds = (_number(row.get("length"), path, f"{number}: length", 1, MAX_ROWS) - 1) / rate
@@ -233,10 +230,7 @@ def _droid_episode(root: Path, folder: Path, index: int) -> Episode:
 
 
 def _mapping(path: Path) -> dict[str, Any]:
-    try:
-        found = parse_json(read_bytes(path, MAX_META_BYTES, "metadata"), finite=True)
-    except (ValueError, RecursionError, json.JSONDecodeError) as error:
-        raise InputError(f"{path}: this is no JSON: {error}") from None
+    found = read_json(path, MAX_META_BYTES, "metadata")
     if not isinstance(found, dict):
         raise InputError(f"{path}: found {type(found).__name__}, expected a mapping")
     return found

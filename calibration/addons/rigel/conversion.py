@@ -156,9 +156,9 @@ def _add_job(
     if job.kind == ROBOMAKER_PLUGIN:
         simulated = robomaker_job(job, around, _region_of_provider(rigelfile))
         if simulated is not None:
-            conversion.simulations.append(ConvertedEntry(named_system(job.name), simulated.entry, f"job {job.name}"))
-            notes, section = conversion.notes, simulated.section
-            conversion.batch = merged(conversion.batch, section, job.where or job.name, notes)
+            entry, section = simulated
+            conversion.simulations.append(ConvertedEntry(named_system(job.name), entry, f"job {job.name}"))
+            conversion.batch = merged(conversion.batch, section, job.where or job.name, conversion.notes)
             conversion.batch_origin = conversion.batch_origin or f"job {job.name}"
     elif is_compose(job):
         system = system_of(job, judges, rigelfile.distro, around, str(rigelfile.path))

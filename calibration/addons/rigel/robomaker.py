@@ -2,7 +2,7 @@
 
 import re
 import shlex
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from calibration.addons.rigel.batch_section import batch_section
@@ -50,18 +50,10 @@ def plain_key(key: str) -> str:
     return _RIGEL_KEY_OF.get(found, found)
 
 
-@dataclass(frozen=True)
-class Simulated:
-    """Result of the conversion of a simulation job."""
-
-    entry: dict[str, Any]
-    """Entry of ``simulation``."""
-    section: dict[str, Any]
-    """Section ``aws-batch``."""
-
-
-def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simulated | None:
-    """Convert a simulation job; None if it has no application.
+def robomaker_job(
+    job: RigelJob, around: Surroundings, region: str = ""
+) -> tuple[dict[str, Any], dict[str, Any]] | None:
+    """Convert a simulation job to an entry of ``simulation`` and the section ``aws-batch``; None without application.
 
     Args:
         job: of the plugin, or a request of ``CreateSimulationJob``.
@@ -125,7 +117,7 @@ def robomaker_job(job: RigelJob, around: Surroundings, region: str = "") -> Simu
     images = [str(container.get("image", "")) for container in containers.values()]
     section = batch_section(fields, found_region, gpu=gpu, images=[*images, around.image or ""], notes=notes)
     fields.rest()
-    return Simulated(entry, section)
+    return entry, section
 
 
 def region_of(arn: str) -> str:

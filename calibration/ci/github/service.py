@@ -17,7 +17,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Self, TextIO
 from urllib.parse import urlsplit
 
-from calibration.base import InfrastructureError, InputError, brief, one_line, read_bytes, visible
+from calibration.base import InfrastructureError, InputError, brief, parse_json_of, read_bytes, visible
 from calibration.base.http import Answer, Http, is_loopback
 from calibration.ci.git import is_commit
 from calibration.ci.workflow.runner import Annotation, Environment, Event, Level, PullRequestComments, Runner, Terminal
@@ -54,10 +54,8 @@ class GitHubEvent:
         """
         body: object = {}
         if path := environment.get("GITHUB_EVENT_PATH"):
-            try:
-                body = json.loads(read_bytes(path, MAX_EVENT_BYTES, "the event of GitHub"))
-            except (ValueError, RecursionError) as error:
-                raise InputError(f"{path} (GITHUB_EVENT_PATH): this is not JSON: {one_line(str(error))}") from None
+            content = read_bytes(path, MAX_EVENT_BYTES, "the event of GitHub")
+            body = parse_json_of(content, f"{path} (GITHUB_EVENT_PATH)", "the event of GitHub")
         return cls(
             environment.get("GITHUB_EVENT_NAME", ""),
             environment.get("GITHUB_SHA", ""),

@@ -21,8 +21,7 @@ from calibration.base import (
     escape_markdown,
     follow_no_links,
     one_line,
-    parse_json,
-    read_bytes,
+    read_json,
     write_atomically,
 )
 from calibration.base.records import computed, field, read, result, value_of
@@ -83,10 +82,7 @@ def read_results_file(kind: type[_Record], path: Path, command: str) -> tuple[_R
     Raises:
         InputError: it cannot be read, has another schema number, or a value has a wrong type.
     """
-    try:
-        document = parse_json(read_bytes(path, MAX_RESULTS_BYTES, f"results of {command}"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: this is not a results file: {error}") from None
+    document = read_json(path, MAX_RESULTS_BYTES, f"results of {command}")
     if isinstance(document, dict) and (found := document.get("schema", SCHEMA_NUMBER)) != SCHEMA_NUMBER:
         expected = f"expected {SCHEMA_NUMBER}: another version has written it"
         raise InputError(f"{path}: schema: found {found!r:.80}, {expected}")
@@ -137,11 +133,7 @@ def read_brief(path: Path) -> Brief:
     Raises:
         InputError: it cannot be read, is too large, or is not a brief report.
     """
-    try:
-        document = parse_json(read_bytes(path, MAX_BRIEF_BYTES, "a report in brief"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: this is not a report in brief: {error}") from None
-    brief = read(Brief, document, str(path))
+    brief = read(Brief, read_json(path, MAX_BRIEF_BYTES, "a report in brief"), str(path))
     for table in brief.tables:
         if any(len(row) != len(table.columns) for row in table.rows):
             raise InputError(f"{path}: tables: found a row that is not as long as its header")

@@ -101,7 +101,7 @@ def test_the_event_is_read_only_on_github(tmp_path: Path) -> None:
     file.write_text("[1]")
     assert GitHubEvent.from_environment(variables | {"GITHUB_ACTIONS": "true"}).body == {}
     file.write_text("{")
-    with pytest.raises(InputError, match=r"\(GITHUB_EVENT_PATH\): this is not JSON"):
+    with pytest.raises(InputError, match=r"\(GITHUB_EVENT_PATH\): this is no JSON"):
         GitHubEvent.from_environment(variables | {"GITHUB_ACTIONS": "true"})
     file.unlink()
     with pytest.raises(InputError, match="the event of GitHub was expected, but it cannot be read"):

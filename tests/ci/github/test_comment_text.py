@@ -99,7 +99,7 @@ def test_a_report_in_brief_is_read_as_it_was_written(tmp_path: Path) -> None:
     ("content", "expected"),
     [
         ("[]", "expected"),
-        ("{", "not a report in brief"),
+        ("{", "this is no JSON"),
         ('{"schema": 1, "verdict": "maybe", "sentence": ""}', "verdict: found 'maybe'"),
         ('{"schema": 1, "verdict": "pass", "sentence": 3}', "sentence: found 3"),
         (
@@ -107,7 +107,7 @@ def test_a_report_in_brief_is_read_as_it_was_written(tmp_path: Path) -> None:
             "a row that is not as long as its header",
         ),
         ('{"schema": 1, "schema": 1, "verdict": "pass", "sentence": ""}', "schema"),
-        ("[" * 100_000, "not a report in brief"),
+        ("[" * 100_000, "this is no JSON"),
         (" " * (4 * 1024**2 + 1), "at most 4194304 was expected"),
     ],
 )

@@ -255,7 +255,7 @@ def test_a_results_file_is_checked_by_its_schema(
 def test_what_is_no_results_file(text: str, tmp_path: Path) -> None:
     (tmp_path / "one").mkdir()
     (tmp_path / "one" / "results.json").write_text(text, encoding="latin-1")
-    with pytest.raises(InputError, match=r"one/results.json: this is not a results file"):
+    with pytest.raises(InputError, match=r"one/results.json: this is no JSON"):
         gather(WorkflowPlan((ONE,)), tmp_path)
 
 

@@ -1,7 +1,6 @@
 """Our own analysers: XML, URDF of robots, and packages of ROS, whose checks run in a process of their own."""
 
 import json
-import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,7 @@ from calibration.addons.analysis.analysers.analyser import Analyser, run_program
 from calibration.addons.analysis.copies import MAX_FILES, Copy
 from calibration.addons.analysis.results import CodeFinding, GraphSummary, Severity
 from calibration.addons.analysis.ros.tree import line_of, parse_xml
-from calibration.base import did_you_mean, one_line, shorten, temporary_folder
+from calibration.base import did_you_mean, one_line, parse_number, shorten, temporary_folder
 
 _CHECKED_FILES = re.compile(
     r"(.*/)?(package\.xml|CMakeLists\.txt|setup\.(py|cfg)|calibration\.yml|config\.yml|dataset\.json)"
@@ -132,7 +131,7 @@ def _limit_faults(joint: Element) -> Iterator[_Found]:
     if limit is None:
         yield joint, "no-limits", "error", f"joint {name!r} is {kind} and has no <limit>"
         return
-    lower, upper = _parse_number(limit.get("lower", "0")), _parse_number(limit.get("upper", "0"))
+    lower, upper = parse_number(limit.get("lower", "0").strip()), parse_number(limit.get("upper", "0").strip())
     if lower is None or upper is None or lower > upper:
         fault = f"found {shorten(limit.get('lower', '0'))} to {shorten(limit.get('upper', '0'))}"
         yield limit, "limits", "error", f"limits of joint {name!r}: {fault}, expected two numbers in their order"
@@ -142,12 +141,12 @@ def _limit_faults(joint: Element) -> Iterator[_Found]:
 
 def _inertia_faults(inertial: Element, link: str) -> Iterator[_Found]:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is not None and not (_parse_number(mass.get("value", "")) or 0) > 0:
+    if mass is not None and not (parse_number(mass.get("value", "").strip()) or 0) > 0:
         found = shorten(mass.get("value", "nothing"))
         yield mass, "mass", "error", f"mass of link {link!r}: found {found}, expected a number above 0"
     if inertia is None:
         return
-    values = [_parse_number(inertia.get(name, "0")) for name in _MOMENTS_OF_INERTIA]
+    values = [parse_number(inertia.get(name, "0").strip()) for name in _MOMENTS_OF_INERTIA]
     if not _is_positive_definite(values):
         fault = "is not positive definite, which that of a body is"
         yield inertia, "inertia", "error", f"the inertia of link {link!r} {fault}"
@@ -162,14 +161,6 @@ def _is_positive_definite(values: Sequence[float | None]) -> bool:
     second = xx * yy - xy * xy
     third = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
     return xx > 0 and second > 0 and third > 0
-
-
-def _parse_number(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 class RosChecks(Analyser):

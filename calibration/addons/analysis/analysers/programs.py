@@ -27,10 +27,10 @@ from calibration.addons.analysis.analysers.analyser import (
 )
 from calibration.addons.analysis.copies import Copy
 from calibration.addons.analysis.results import Category, CodeFinding, Metrics, Severity
+from calibration.addons.analysis.ros.tree import CPP_SUFFIXES
 from calibration.base import InfrastructureError
 from calibration.ci.report.blocks import BAD, FAIR, GOOD, drawn_badge
 
-CPP_SUFFIXES = (".c", ".cc", ".cpp", ".cxx", ".h", ".hh", ".hpp", ".hxx")
 _RULES_OF_MISSING_HEADERS = ("unknownMacro", "syntaxError", "internalAstError", "preprocessorErrorDirective")
 """Errors of cppcheck due to missing headers: the code itself need not be wrong."""
 _RULES_OF_UNUSED_CODE = re.compile(r"unreadVariable|unused(Variable|Function|PrivateFunction|StructMember)")

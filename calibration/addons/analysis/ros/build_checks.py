@@ -9,10 +9,9 @@ from calibration.addons.analysis.ros import fault, quoted
 from calibration.addons.analysis.ros.cmake import CATKIN_PACKAGE_KEYWORDS, Argument, CMakeCommand
 from calibration.addons.analysis.ros.package import FOLDER_OF_SUFFIX, Package, Unreadable, lines_of
 from calibration.addons.analysis.ros.repository import RosRepository, module_places
-from calibration.addons.analysis.ros.tree import parse_python
+from calibration.addons.analysis.ros.tree import SOURCE_SUFFIXES, parse_python
 from calibration.addons.analysis.ros.uses import BUILT_IN_TYPES
 
-_SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
 _INSTALL_KEYWORDS = (
     *("TARGETS", "FILES", "PROGRAMS", "DIRECTORY", "DESTINATION", "PERMISSIONS", "CONFIGURATIONS", "COMPONENT"),
     *("RENAME", "OPTIONAL", "ARCHIVE", "LIBRARY", "RUNTIME", "OBJECTS", "FRAMEWORK", "BUNDLE", "PRIVATE_HEADER"),
@@ -60,7 +59,7 @@ def made_words(package: Package) -> frozenset[str]:
 def _check_sources(package: Package) -> Iterator[CodeFinding]:
     for command in package.commands("add_executable", "add_library"):
         for each in command.arguments[1:]:
-            if each.text.endswith(_SOURCE_SUFFIXES):
+            if each.text.endswith(SOURCE_SUFFIXES):
                 yield from _check_existence(package, command, each)
     made = made_words(package)
     for command in package.commands("install", "catkin_install_python"):

@@ -11,11 +11,17 @@ from calibration.addons.analysis.ros.cmake import CMakeCommand
 from calibration.addons.analysis.ros.launch import Include, Launch, package_of, read_launch_xml, read_launch_yaml
 from calibration.addons.analysis.ros.launch_python import read_launch_python
 from calibration.addons.analysis.ros.package import Package, find_packages
-from calibration.addons.analysis.ros.tree import Tree, imported_modules, join, parse_python, reachable
+from calibration.addons.analysis.ros.tree import (
+    HEADER_SUFFIXES,
+    SOURCE_SUFFIXES,
+    Tree,
+    imported_modules,
+    join,
+    parse_python,
+    reachable,
+)
 from calibration.addons.analysis.ros.uses import COMMON_PACKAGES
 
-_SOURCE_SUFFIXES = (".cpp", ".cc", ".cxx", ".c")
-_HEADER_SUFFIXES = (".h", ".hpp", ".hh", ".hxx")
 _INCLUDED_HEADER = re.compile(r"#\s*include\s*[<\"](?:[^>\"\n]*/)?([\w-]+)\.h")
 """Name of an included header, without folders and suffix."""
 _LINK_KEYWORDS = ("PUBLIC", "PRIVATE", "INTERFACE")
@@ -67,7 +73,7 @@ def find_executables(package: Package) -> Executables:
                 files[place.rpartition("/")[2]] = (place,)
     if not package.is_ros2:  # roslaunch takes any executable file below the package's folder
         for path in package.files:
-            if not path.endswith((*_SOURCE_SUFFIXES, *_HEADER_SUFFIXES)):
+            if not path.endswith((*SOURCE_SUFFIXES, *HEADER_SUFFIXES)):
                 files.setdefault(path.rpartition("/")[2], (path,))
     if package.setup is not None:
         complete = complete and package.setup.is_known
@@ -88,7 +94,7 @@ def _libraries_of_targets(package: Package) -> dict[str, list[str]]:
 
 
 def _sources_of_target(package: Package, command: CMakeCommand) -> tuple[str, ...]:
-    places = (command.place(each) for each in command.texts[1:] if each.endswith(_SOURCE_SUFFIXES))
+    places = (command.place(each) for each in command.texts[1:] if each.endswith(SOURCE_SUFFIXES))
     return tuple(each for each in places if each is not None and each in package.tree.present)
 
 
@@ -107,7 +113,7 @@ def _included_sources(package: Package, own: Sequence[str], others: Sequence[str
 def _with_headers(package: Package, sources: Sequence[str]) -> tuple[str, ...]:
     """Return sources, and the headers of the package that have the name of one."""
     stems = {PurePosixPath(path).stem for path in sources}
-    headers = (path for path in package.files if path.endswith(_HEADER_SUFFIXES))
+    headers = (path for path in package.files if path.endswith(HEADER_SUFFIXES))
     return (*sources, *(path for path in headers if PurePosixPath(path).stem in stems))
 
 

@@ -18,6 +18,8 @@ from defusedxml.ElementTree import ParseError, XMLParser
 LINE_KEY = "{calibration}line"
 """Key of an element's line, which cannot be an attribute of a document."""
 
+SOURCE_SUFFIXES, HEADER_SUFFIXES = (".cpp", ".cc", ".cxx", ".c"), (".h", ".hpp", ".hh", ".hxx")
+CPP_SUFFIXES = (*SOURCE_SUFFIXES, *HEADER_SUFFIXES)
 MAX_ELEMENT_DEPTH = 100
 """Limit of elements inside one another; readers of elements are recursive."""
 

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from calibration.addons.analysis.ros.package import Package, fields_of
-from calibration.addons.analysis.ros.tree import imported_modules, parse_python, without_comments
+from calibration.addons.analysis.ros.tree import CPP_SUFFIXES, imported_modules, parse_python, without_comments
 
 _PACKAGE_NAMES = """
 actionlib actionlib_msgs amcl ament_cmake ament_cmake_auto ament_cmake_gtest ament_cmake_pytest
@@ -53,7 +53,6 @@ BUILT_IN_TYPES = frozenset(_BUILT_IN_NAMES.split())
 """Types of fields that belong to no package."""
 
 
-CPP_SUFFIXES = (".cpp", ".cc", ".cxx", ".c", ".h", ".hpp", ".hh", ".hxx")
 DESCRIPTION_SUFFIXES = (
     ".launch",
     ".launch.xml",

@@ -7,7 +7,7 @@ lose their weight by graduated non-convexity (Geman and McClure's kernel; Black 
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -81,16 +81,7 @@ class Observations:
         seen = np.bincount(self.points[mask], minlength=len(self.clusters))
         mask = mask & (seen >= self.least)[self.points]
         names, points = np.unique(self.points[mask], return_inverse=True)
-        return Observations(
-            self.poses,
-            self.slots,
-            self.views[mask],
-            points,
-            self.at[mask],
-            self.clusters[names],
-            self.focal_px,
-            self.least,
-        )
+        return replace(self, views=self.views[mask], points=points, at=self.at[mask], clusters=self.clusters[names])
 
 
 class Linearised(NamedTuple):
