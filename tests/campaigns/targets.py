@@ -17,8 +17,8 @@ import numpy as np
 from calibration.__main__ import main
 from calibration.base import CalibrationError, InputError
 from calibration.base.tables import judge, parse_rules, read_table
-from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.extraction import Budget, extract
+from calibration.ci.execution.outcome import Glob
 from calibration.ci.git import changed_lines
 from calibration.ci.github.comments import comment_text
 from calibration.ci.image.context import read_ignore_file

@@ -17,8 +17,8 @@ from calibration.addons.aws_batch.session import Aws, aws_errors, error_code
 from calibration.addons.aws_batch.settings import BatchSettings
 from calibration.addons.aws_batch.wire import JOB_FOLDER, MOUNTS_FOLDER, PREPARE_CONTAINER, WATCH_CONTAINER
 from calibration.base import CalibrationError, InputError, one_line, shorten
-from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import OUTPUT, Container, Job, Relaxations
+from calibration.ci.execution.outcome import Glob
 from calibration.ci.registries.reference import ecr_host, parse_reference
 
 _IMAGE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.:/@-]{0,254}")

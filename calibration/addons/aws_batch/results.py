@@ -22,7 +22,6 @@ from calibration.addons.aws_batch.wire import (
 )
 from calibration.base import CalibrationError, ExitCode, InfrastructureError, one_line, shorten, write_atomically
 from calibration.base.text import redact
-from calibration.ci.execution.artifacts import complete_or_not_at_all
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.outcome import (
     ARTIFACTS_FOLDER,
@@ -31,6 +30,7 @@ from calibration.ci.execution.outcome import (
     ContainerOutcome,
     End,
     JobOutcome,
+    complete_or_not_at_all,
     make_job_folder,
     write_manifest,
 )

@@ -373,15 +373,7 @@ def command(file: Path, output: Path, overwrite: bool) -> ExitCode:
     A request of RoboMaker's CreateSimulationJob or StartSimulationJobBatch, as JSON or YAML, is converted too.
     Nothing in the file is executed. Secrets are replaced by variables.
     """
-    return import_rigelfile(file, output, Runner.from_environment(os.environ), overwrite=overwrite)
-
-
-def import_rigelfile(file: Path, output: Path, runner: Runner, *, overwrite: bool = False) -> ExitCode:
-    """Convert a Rigelfile; each part that is not converted is a warning, and a comment in the new file.
-
-    Raises:
-        InputError: the Rigelfile is missing, invalid or has nothing to convert, or the output file exists.
-    """
+    runner = Runner.from_environment(os.environ)
     if output.exists() and (not overwrite or output.samefile(file)):
         hint = "name another file" if overwrite else "name another file, or add --overwrite"
         raise InputError(f"{output}: there is such a file already: {hint}")

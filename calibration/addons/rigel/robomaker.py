@@ -9,8 +9,8 @@ from calibration.addons.rigel.batch_section import batch_section
 from calibration.addons.rigel.containers import Surroundings, component_entry, named, pair_environment
 from calibration.addons.rigel.document import RigelJob
 from calibration.addons.rigel.fields import Fields, Notes, plain, text_at
-from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import OUTPUT
+from calibration.ci.execution.outcome import Glob
 
 ROBOMAKER_PLUGIN = "RoboMakerPlugin"
 _RIGEL_KEY_OF = {

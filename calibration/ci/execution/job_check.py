@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from calibration.base import InputError, did_you_mean, shorten
-from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.job import CONTAINER_NAME, OUTPUT, Container, Job, Mount, Readiness
+from calibration.ci.execution.outcome import Glob
 
 _JOB_NAME_PART = r"[A-Za-z0-9_+=,@][A-Za-z0-9_+=,@ .:-]{0,127}"
 _VARIABLE_NAME = r"[^=\0]+"

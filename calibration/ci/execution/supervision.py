@@ -8,10 +8,16 @@ from pathlib import Path
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
 from calibration.base import ExitCode
-from calibration.ci.execution.artifacts import ArtifactCopier, Opener, complete_or_not_at_all
 from calibration.ci.execution.extraction import Budget
 from calibration.ci.execution.job import Container, Job, Readiness, describe_bytes
-from calibration.ci.execution.outcome import ArtifactFile, ContainerOutcome, End
+from calibration.ci.execution.outcome import (
+    ArtifactCopier,
+    ArtifactFile,
+    ContainerOutcome,
+    End,
+    Opener,
+    complete_or_not_at_all,
+)
 
 _SIGNAL_EXIT_CODES = 128  # a shell reports the end by signal N as 128 + N
 _HINT_OF_EXIT_CODE = {126: "its command is not executable", 127: "its command was not found"}

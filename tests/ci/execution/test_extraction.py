@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base import CalibrationError, ExitCode, InfrastructureError
-from calibration.ci.execution.artifacts import Glob
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
+from calibration.ci.execution.outcome import Glob
 
 MIB = 1024**2
 ZEROS = b"\0" * MIB

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.ci.execution.artifacts import Glob
+from calibration.ci.execution.outcome import Glob
 
 
 @pytest.mark.parametrize(

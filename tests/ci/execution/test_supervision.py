@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from calibration.base import ExitCode, InfrastructureError
-from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.job import Artifact, Container, Job, Readiness
-from calibration.ci.execution.outcome import End
+from calibration.ci.execution.outcome import Archive, End, NothingThereError, Opener
 from calibration.ci.execution.supervision import Supervised, Supervisor, how_it_ended
 
 

@@ -9,9 +9,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from calibration.base import InfrastructureError, one_line, shorten
-from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.extraction import RefusedError
 from calibration.ci.execution.job import OUTPUT
+from calibration.ci.execution.outcome import Archive, NothingThereError, Opener
 
 _CHUNK_BYTES = 1024**2
 _BLOCK_BYTES = tarfile.BLOCKSIZE

@@ -14,10 +14,9 @@ from calibration.addons.aws_batch.inside.local_archive import opener_of
 from calibration.addons.aws_batch.inside.script import GRACE_SECONDS, LOG_FILE, READY_COMMAND, READY_FILE, Signs
 from calibration.addons.aws_batch.wire import ARRIVAL_SECONDS, TaskOutcome
 from calibration.base import CalibrationError, ExitCode, one_line
-from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.job import Container, Job
 from calibration.ci.execution.job_check import start_order
-from calibration.ci.execution.outcome import End
+from calibration.ci.execution.outcome import End, Opener
 from calibration.ci.execution.supervision import Supervised, Supervisor, how_it_ended, is_running, unmet
 from calibration.ci.workflow.streams import LONGEST_LINE, MOST_BYTES
 

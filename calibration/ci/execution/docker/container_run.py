@@ -32,11 +32,10 @@ from requests import Response
 
 from calibration.base import CalibrationError, InputError
 from calibration.ci.docker_engine import Engine, engine_errors, lost
-from calibration.ci.execution.artifacts import Archive, NothingThereError, Opener
 from calibration.ci.execution.docker.labels import new_run
 from calibration.ci.execution.docker.run_objects import Network
 from calibration.ci.execution.job import OUTPUT, Container, Mount, Readiness
-from calibration.ci.execution.outcome import End
+from calibration.ci.execution.outcome import Archive, End, NothingThereError, Opener
 from calibration.ci.execution.supervision import Supervised, how_it_ended, unmet
 from calibration.ci.workflow.streams import LogFile
 

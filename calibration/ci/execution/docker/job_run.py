@@ -11,7 +11,6 @@ from queue import Empty, SimpleQueue
 from calibration.base import CalibrationError, InfrastructureError, one_line
 from calibration.base.text import redact
 from calibration.ci.docker_engine import Engine, EngineLostError, engine_errors
-from calibration.ci.execution.artifacts import Opener
 from calibration.ci.execution.docker.container_run import (
     DEFAULT_BRIDGE,
     STOP_SECONDS,
@@ -32,6 +31,7 @@ from calibration.ci.execution.outcome import (
     ContainerOutcome,
     End,
     JobOutcome,
+    Opener,
     make_job_folder,
     write_manifest,
 )

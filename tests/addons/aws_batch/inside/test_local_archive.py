@@ -9,9 +9,9 @@ import pytest
 
 from calibration.addons.aws_batch.inside.local_archive import opener_of
 from calibration.base import InfrastructureError
-from calibration.ci.execution.artifacts import Glob, NothingThereError
 from calibration.ci.execution.extraction import Budget, Extraction, RefusedError, extract
 from calibration.ci.execution.job import OUTPUT
+from calibration.ci.execution.outcome import Glob, NothingThereError
 
 
 def taken(output: Path, path: str, to: Path) -> Extraction:
