@@ -1,7 +1,7 @@
 """AWS Batch: the backend ``aws-batch`` of `calibration.ci.execution.backends`.
 
 Its interface is `ADDON`: `backend` (and leftovers of killed runs), opened by name, `settings` (the section of
-calibration.yml), `session` (logins to ECR) and the command `aws_policy`. The other modules are private:
+calibration.yml), `ecr` and the command `aws_policy`. The other modules are private:
 
 - before a run: `checks` of jobs, images and queue
 - requests: jobs of one shape share a `definition`
@@ -26,6 +26,6 @@ ADDON = Addon(
     backends={
         "aws-batch": BackendKind(f"{__name__}.backend:open_batch", f"{__name__}.backend:open_leftovers", resumes=True)
     },
-    registry_logins={"ecr": f"{__name__}.session:ecr_credentials"},
+    registry_logins={"ecr": f"{__name__}.ecr:ecr_credentials"},
     schemas={"aws-batch": SchemaFile(__name__, "batch.schema.json", "settings:BatchFile")},
 )

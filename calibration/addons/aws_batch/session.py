@@ -1,11 +1,10 @@
-"""Sessions with AWS: errors as one-line messages, credentials, clients, retries, and the password of a registry (ECR).
+"""Sessions with AWS: errors as one-line messages, credentials, clients, and retries.
 
 boto3 finds credentials as AWS's own tools do; in a GitHub job with permission for OIDC tokens, the role is assumed with
 a new token each time, so that a run may outlast one. ``AWS_ENDPOINT_URL`` and ``AWS_ENDPOINT_URL_<SERVICE>`` replace
 the addresses of services.
 """
 
-import base64
 import json
 import os
 import random
@@ -27,8 +26,6 @@ from botocore.credentials import AssumeRoleWithWebIdentityCredentialFetcher, Def
 
 from calibration.base import CalibrationError, InfrastructureError, InputError, one_line, shorten
 from calibration.base.http import Http
-from calibration.ci.registries.reference import ECR_PUBLIC, Credentials, Reference, ecr_host, parse_reference
-from calibration.ci.workflow import Runner, add_mask
 
 _ACTION_OF_OPERATION = {
     **dict.fromkeys(("HeadBucket", "ListObjectsV2"), "s3:ListBucket"),
@@ -40,8 +37,6 @@ _ACTION_OF_OPERATION = {
     "AssumeRoleWithWebIdentity": "sts:AssumeRoleWithWebIdentity",
 }
 """IAM actions of operations whose action has another name or service than the operation."""
-PUBLIC_REGION = "us-east-1"
-"""The only region of the public registry's API."""
 
 
 class AwsLostError(InfrastructureError):
@@ -356,65 +351,3 @@ def _token_of_github(url: str, secret: str) -> str:
     finally:
         http.close()
     return token
-
-
-def ecr_credentials(name: str, runner: Runner, create_repository: bool = False, insecure: bool = False) -> Credentials:
-    """Get the password of an image's registry from AWS, and create its repository on request.
-
-    boto3 finds the AWS credentials as usual: variables, profile, role, OIDC; ``AWS_ENDPOINT_URL`` replaces the address.
-    A registry whose host is not of AWS is taken for one in the region of the environment.
-
-    Args:
-        name: name of the image.
-        runner: runner that masks the secrets.
-        create_repository: whether a missing repository is created.
-        insecure: as in the settings.
-
-    Raises:
-        InputError: there are no credentials, they are expired or unknown, or lack a permission.
-        InfrastructureError: AWS cannot be reached, throttles, or fails.
-    """
-    reference = parse_reference(name)
-    with aws_errors(reference.name, "ecr-public" if reference.registry == ECR_PUBLIC else "ecr"):
-        client: Any = _create_client(reference.registry)
-        try:
-            data = client.get_authorization_token().get("authorizationData")
-            if create_repository:
-                _create_repository(client, reference, runner)
-        finally:
-            client.close()
-    try:
-        token = (data if reference.registry == ECR_PUBLIC else data[0])["authorizationToken"]
-        username, colon, password = base64.b64decode(token, validate=True).decode().partition(":")
-    except (LookupError, TypeError, ValueError):
-        token = colon = ""
-    if not colon:
-        raise InfrastructureError(f"{reference.name}: AWS answers without a token")
-    add_mask(runner, token)
-    return Credentials(reference.registry, username, password, insecure=insecure)
-
-
-def _create_client(registry: str) -> object:
-    host = ecr_host(registry)
-    region = PUBLIC_REGION if registry == ECR_PUBLIC else host.region if host else None
-    return boto3.session.Session().client(
-        "ecr-public" if registry == ECR_PUBLIC else "ecr",
-        region_name=region,
-        config=Config(retries={"mode": "standard", "total_max_attempts": 4}, connect_timeout=10, read_timeout=30),
-    )
-
-
-def _create_repository(client: Any, reference: Reference, runner: Runner) -> None:
-    repository = reference.repository
-    if reference.registry == ECR_PUBLIC:  # public.ecr.aws/<alias>/<repository>
-        repository = repository.partition("/")[2]
-    host = ecr_host(reference.registry)
-    account = {"registryId": host.account} if host else {}
-    try:
-        client.describe_repositories(repositoryNames=[repository], **account)
-    except client.exceptions.RepositoryNotFoundException:
-        try:
-            client.create_repository(repositoryName=repository, **account)
-        except client.exceptions.RepositoryAlreadyExistsException:
-            return  # created meanwhile by another process
-        runner.log(f"created the repository {reference.name}")

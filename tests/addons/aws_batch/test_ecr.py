@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from calibration.addons.aws_batch.session import ecr_credentials
+from calibration.addons.aws_batch.ecr import ecr_credentials
 from calibration.base import CalibrationError, InfrastructureError, InputError
 from calibration.ci.github.service import GITHUB
 from calibration.ci.registries.reference import RegistrySettings, ecr_host, is_ecr
