@@ -13,8 +13,9 @@ from benchmarks.rows import Bar, Row
 from benchmarks.verdict.strata import entries, recording
 from calibration.base.arrays import Array
 from calibration.engine.baseline.calibration_document import CalibrationDocument, document_of_calibration
-from calibration.engine.baseline.comparison import BaselineComparison, change_points, compare, creeps, noise_of
+from calibration.engine.baseline.comparison import BaselineComparison, compare
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.statistics import change_points, creeps, noise_of
 
 ROBOTS, RECORDINGS = 40, 6
 """Of each system, and of each robot: 15 pairs."""

@@ -19,11 +19,10 @@ from benchmarks.rows import Bar, Row
 from benchmarks.workers import on_all_cores
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
-from calibration.engine.dataset.truth import truth_of
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.evaluation.truth import truth_error, truth_of
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import local
 from calibration.robot.simulation.system import System, read_system

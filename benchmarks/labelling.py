@@ -16,11 +16,11 @@ from benchmarks.timing import seconds
 from calibration.base.arrays import Array
 from calibration.engine.dataset.modalities import LIDAR3D
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
-from calibration.engine.dataset.pointcloud import read_points
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import read_truth
+from calibration.engine.dataset.sensor_data import read_points
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.evaluation.truth import read_truth
+from calibration.engine.evaluation.two_sensors import rgb_to_rgb
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform, translation
 from calibration.robot.importing.arrivals import Arrival, Arrivals

@@ -24,9 +24,7 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
 from calibration.engine.geometry.transforms import retract
-from calibration.engine.next_pose.advice import PoseAdvisor, pose_advisor
-from calibration.engine.next_pose.goals import Goal
-from calibration.engine.next_pose.knowledge import Knowledge, knowledge_of
+from calibration.engine.next_pose import Goal, Knowledge, PoseAdvisor, knowledge_of, pose_advisor
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.task_errors import task_errors
 from calibration.robot.next_pose.candidates import candidates_of

@@ -8,8 +8,8 @@ import numpy as np
 from benchmarks.scenes import CAMERA, rig
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Collection, CornerLabels
+from calibration.engine.estimation.least_squares.minimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
-from calibration.engine.estimation.least_squares.optimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.estimation.start.linear_start import linear_start

@@ -9,12 +9,11 @@ from benchmarks.shared_data import load
 from calibration.base import CalibrationError
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.dataset.truth import truth_of
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
-from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.evaluation.truth import truth_error, truth_of
+from calibration.engine.evaluation.two_sensors import rgb_to_rgb
 from calibration.engine.geometry.transforms import distance
 
 

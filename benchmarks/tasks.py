@@ -35,11 +35,10 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Assumptions, Options
 from calibration.engine.geometry.transforms import apply, inverse, retract, translation
-from calibration.engine.tasks.carried_out import errors_of_robot
-from calibration.engine.tasks.gaussian_norm import quantile_of_norm
+from calibration.engine.statistics import quantile_of_norm
 from calibration.engine.tasks.placed_task import UNIT_PER_SI
 from calibration.engine.tasks.robot_task import Box, RobotTask
-from calibration.engine.tasks.task_errors import MOST, TaskError, task_errors
+from calibration.engine.tasks.task_errors import MOST, TaskError, errors_of_robot, task_errors
 
 ROBOTS, ROBOTS_OF_PARTS = 200, 20
 """Of each system: whose tasks are counted, and that are calibrated again without each cause. 1000 robots in all."""

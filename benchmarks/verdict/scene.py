@@ -9,7 +9,7 @@ import numpy as np
 from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.dataset.truth import Truth
+from calibration.engine.evaluation.truth import Truth
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.pipeline.system import System

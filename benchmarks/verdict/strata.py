@@ -15,11 +15,10 @@ from benchmarks.verdict.scene import Scene
 from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.ci.execution.tasks import single_threaded_opencv
-from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Labels, PointLabels
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
-from calibration.engine.dataset.truth import read_truth
 from calibration.engine.dataset.writing import write_document
+from calibration.engine.evaluation.truth import TRUTH_FILE, read_truth
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import retract
 from calibration.pipeline.configuration import read_configuration
@@ -261,7 +260,7 @@ def with_noise(scene: Scene, rng: np.random.Generator, outliers: float, noise_px
 def _rendered(name: str, number: int) -> Scene:
     folder = entries()[name].dataset if number == 0 else _collected(name, number)
     told = read_dataset(folder)
-    true = read_truth(folder / truth.FILE_NAME)
+    true = read_truth(folder / TRUTH_FILE)
     keys = [true.patterns[key] for key in told.keys]
     moving = {edge: np.stack([poses[edge] for poses in keys]) for edge in keys[0]}
     pattern = next(iter(told.patterns.values()))
@@ -306,7 +305,7 @@ def _collected(name: str, number: int) -> Path:
                     (own / file).write_bytes(content)
             if len(kept(records)) < 8:
                 continue
-            write_document(truth_document(played, kept(records)), own / truth.FILE_NAME)
+            write_document(truth_document(played, kept(records)), own / TRUTH_FILE)
             write_document(dataset_document(played.system, kept(records)), own / FILE_NAME)
             own.rename(folder)
         return folder

@@ -17,9 +17,10 @@ from calibration.base.optional import figures_of_matplotlib
 from calibration.base.records import computed, field, result
 from calibration.ci.git import Commit, Repository
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
-from calibration.engine.baseline.comparison import change_points, covariance_of_difference, creeps, noise_of
+from calibration.engine.baseline.comparison import covariance_of_difference
 from calibration.engine.baseline.document import BASELINE_VERSION, MAX_BASELINE_BYTES, parse_baseline
 from calibration.engine.geometry.transforms import local
+from calibration.engine.statistics import change_points, creeps, noise_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,8 +13,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
-from calibration.engine.next_pose.advice import Advice, next_poses
-from calibration.engine.next_pose.goals import Goal
+from calibration.engine.next_pose import Advice, Goal, next_poses
 from calibration.engine.tasks.task_errors import TaskError
 from calibration.pipeline.matrix.described_robot import described_robot
 from calibration.pipeline.matrix.loaded_system import LoadedSystem

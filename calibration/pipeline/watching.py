@@ -21,7 +21,7 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.projection import projection_of
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
-from calibration.engine.next_pose.advice import next_poses
+from calibration.engine.next_pose import next_poses
 from calibration.pipeline.next_poses import AdvisedPoses, described_advice
 from calibration.pipeline.page.label_residuals import poses_in_images, reduced_jpeg
 from calibration.robot.importing.arrivals import Arrivals, FollowedBag

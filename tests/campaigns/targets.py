@@ -28,15 +28,14 @@ from calibration.ci.introspection import read_rules
 from calibration.ci.report.report import read_brief
 from calibration.engine.baseline.document import read_baseline
 from calibration.engine.dataset.configuration import read_configuration as read_atom_configuration
-from calibration.engine.dataset.depth_image import read_depth_image
-from calibration.engine.dataset.pointcloud import read_points
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import read_truth
+from calibration.engine.dataset.sensor_data import read_depth_image, read_points
 from calibration.engine.dataset.writing import DatasetWriter
 from calibration.engine.diagnosis.check_data import check_data
 from calibration.engine.estimation.problem.intrinsics import read_intrinsics
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.evaluation.range_to_rgb import read_annotation
+from calibration.engine.evaluation.truth import read_truth
+from calibration.engine.evaluation.two_sensors import read_annotation
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.configuration import read_configuration

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import find_truth
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
+from calibration.engine.evaluation.truth import find_truth
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse
 from calibration.pipeline.collection.dispatch import collect_dataset

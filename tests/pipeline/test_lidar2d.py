@@ -11,10 +11,10 @@ import pytest
 
 from calibration.engine.dataset.modalities import LIDAR2D
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import find_truth
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.evaluation.truth import find_truth
 from calibration.engine.geometry.transforms import inverse
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report

@@ -13,9 +13,9 @@ from calibration.base.records import record
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import LIDAR2D, MODALITIES, IndexedPoints, Modality, PointData
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import find_truth
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.evaluation.truth import find_truth
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.simulation.sensors import SIMULATED_SENSORS, SimulatedLidar2d

@@ -24,9 +24,8 @@ from calibration.ci.report import Outcome, Report, Table, count_of, publish, ver
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import chosen, record_options
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
-from calibration.engine.baseline.comparison import compare
+from calibration.engine.baseline.comparison import MIN_ROBOTS, MountOfFleet, MountOfRobot, compare, compare_fleet
 from calibration.engine.baseline.document import read_baseline
-from calibration.engine.baseline.fleet import MIN_ROBOTS, MountOfFleet, MountOfRobot, compare_fleet
 from calibration.engine.baseline.quality import SameData
 from calibration.engine.baseline.verdict import exceeds, size_of_change
 from calibration.pipeline.configuration import DEFAULT_FILE

@@ -22,9 +22,9 @@ import numpy as np
 from calibration.addons.guard.features import NEAR_PX, Features, cells_of, match
 from calibration.addons.guard.outcome import MAX_FALSE_ALARM, t_squared_limit
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.baseline.comparison import MAD_TO_SIGMA, t_squared_tail
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
+from calibration.engine.statistics import MAD_TO_SIGMA, t_squared_tail
 
 MIN_MATCHES = 12
 """Least number of matches that agree, to say anything."""

@@ -28,11 +28,11 @@ from calibration.addons.guard.recording import CameraImages, camera_named, no_su
 from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.comparison import MAD_TO_SIGMA, change_points, noise_of
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.options import LensModel
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
+from calibration.engine.statistics import MAD_TO_SIGMA, change_points, noise_of
 from calibration.pipeline.baselines import AcceptedSystems
 from calibration.robot.labelling.detection import Image
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from calibration.base.arrays import Array
 from calibration.base.records import computed, field, result
-from calibration.engine.baseline.comparison import t_squared_tail
+from calibration.engine.statistics import t_squared_tail
 
 Placement = Literal["unmoved", "moved", "lens-changed", "cannot-tell"]
 MAX_FALSE_ALARM = 5e-4

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.engine.dataset.depth_image import NO_RETURN
 from calibration.engine.dataset.model import CornerLabels
+from calibration.engine.dataset.sensor_data import NO_RETURN
 from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.collection.capture import Capture, Requirements, capture, reasons_to_lose

@@ -9,12 +9,12 @@ from calibration.base import rounded
 from calibration.base.verdict import at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument, SoftwareStart
 from calibration.engine.baseline.comparison import BaselineChange, BaselineComparison, compare
-from calibration.engine.baseline.promise import promise_not_kept
 from calibration.engine.baseline.quality import (
     HOW_TO_ACCEPT,
     BaselineSettings,
     SameData,
     largest_standard_deviations,
+    promise_not_kept,
     quality,
     worse_than_baseline,
 )

@@ -25,7 +25,7 @@ from calibration.base.arrays import Array
 from calibration.base.optional import optional
 from calibration.engine.dataset.modalities import MODALITIES, Modality
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels, Sensor
-from calibration.engine.evaluation.range_to_range import nearest
+from calibration.engine.evaluation.two_sensors import nearest
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.lenses import PlumbBob, Rational
 from calibration.engine.geometry.transforms import apply, distance, inverse, transform

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.dataset import pointcloud
-from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node, locate_existing
-from calibration.engine.dataset.pointcloud import read_scan
+from calibration.engine.dataset.sensor_data import decode_message, read_depth_image, read_points, read_scan
 from calibration.engine.geometry.cameras import Camera
 
 Family = Literal["camera", "lidar", "depth camera", "tracker"]
@@ -137,8 +135,8 @@ def _in_file(name: Node, read: Callable[[str], IndexedPoints]) -> IndexedPoints:
 
 def _read_cloud(message: Node, _: Camera | None) -> IndexedPoints:
     if message.get("data"):
-        return _Points(pointcloud.decode_message(message))
-    return _in_file(message["data_file"], lambda path: _Points(pointcloud.read_points(path)))
+        return _Points(decode_message(message))
+    return _in_file(message["data_file"], lambda path: _Points(read_points(path)))
 
 
 def _read_scan(message: Node, _: Camera | None) -> IndexedPoints:

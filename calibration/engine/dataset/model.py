@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.dataset.lens_uncertainty import LensUncertainty
 from calibration.engine.dataset.modalities import Modality
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.cameras import Camera
@@ -29,6 +28,18 @@ ROUGH_KEY = "rough_transforms"
 """Key of ``_metadata``: whether the calibrated transforms in the dataset are only an initial guess."""
 Edge = tuple[str, str]
 """(parent, child); in a file it is the key ``parent-child``."""
+
+
+@dataclass(frozen=True, eq=False)
+class LensUncertainty:
+    """Covariance, or only standard deviations, of some intrinsics."""
+
+    parameters: tuple[str, ...]
+    """k of `calibration.engine.geometry.cameras.Camera.parameters`, in this order."""
+    sigmas: Array
+    """(k,): px, and 1; above 0."""
+    covariance: Array | None = None
+    """(k, k); None if only the standard deviations are known."""
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,14 @@ import numpy as np
 
 from calibration.base import InputError, link_or_copy, write_atomically
 from calibration.base.arrays import Array
-from calibration.engine.dataset.changes import CHANGES_KEY, reference_to
 from calibration.engine.dataset.configuration import FIRST_PATTERN
 from calibration.engine.dataset.document import Node, locate
 from calibration.engine.dataset.edges import is_constant, read_transforms, transform_documents
 from calibration.engine.dataset.frames import joint_document, joint_values
-from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern, pattern_document
-from calibration.engine.dataset.reading import FILE_NAME
-from calibration.engine.dataset.sensors import LAG_KEY, camera_document, read_camera
+from calibration.engine.dataset.reading import CHANGES_KEY, FILE_NAME, reference_to
+from calibration.engine.dataset.sensors import LAG_KEY, UNCERTAINTY_KEY, camera_document, read_camera
 
 CONTAINER_TYPES = frozenset({dict, list, tuple})
 MAX_KEPT_CHARACTERS = 64 * 1024**2
@@ -232,7 +230,7 @@ class DatasetWriter:
         }
 
     def changes_text(self, dataset: Dataset) -> str:
-        """Return the text of a file with only what differs from the document that was read; see `dataset.changes`.
+        """Return the text of a file with only what differs from the document that was read; see `dataset.reading`.
 
         Raises:
             InputError: a transform is not finite.

@@ -9,10 +9,10 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import TWIST_UNITS, Limits, allowed, sizes, stated
 from calibration.engine.diagnosis.precision import RECOMMENDED_COLLECTIONS, too_few
 from calibration.engine.diagnosis.what_does_not_fit import distance_text, keys_since, what_does_not_fit
+from calibration.engine.estimation.calibrate import Prepared, prepare_without
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.covariance.suspects import MIN_CLUSTERS_ON_A_SIDE, Suspect
-from calibration.engine.estimation.prepare import Prepared, prepare_without
 from calibration.engine.geometry.transforms import distance
 
 

@@ -21,15 +21,15 @@ from calibration.base import CalibrationError, UndeterminedError
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.calibrate import prepare
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
-from calibration.engine.estimation.prepare import prepare
-from calibration.engine.estimation.residuals.statistics import score_of_tail
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.guesses import cost_of
 from calibration.engine.estimation.start.wrong_views import without
 from calibration.engine.evaluation.truth import PoseError, TruthError, error_against
 from calibration.engine.geometry.cameras import Camera
+from calibration.engine.statistics import score_of_tail
 
 MAX_UNCHANGED_DISTANCE = 1e-3
 """mm, degrees: a result closer than this to its initial guess is unchanged."""

@@ -6,7 +6,7 @@ from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.pattern import CIRCLE_KINDS, PatternKind
 from calibration.engine.diagnosis.finding import Finding, first_names
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.start.turned_boards import LOOKS_THE_SAME
+from calibration.engine.estimation.start.ambiguous_views import LOOKS_THE_SAME
 
 MAX_NAMED_COLLECTIONS = 8
 """Number of collections that a message names."""

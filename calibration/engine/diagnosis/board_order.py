@@ -10,7 +10,7 @@ from calibration.engine.dataset.configuration import MAX_SPACING
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import MIN_SIZE, Pattern, grid, tag_grid
 from calibration.engine.diagnosis.finding import first_names
-from calibration.engine.estimation.residuals.statistics import median
+from calibration.engine.statistics import median
 
 LEAST_CORNERS = 12
 """Minimum of corners of a view: with fewer, another layout would fit as well."""

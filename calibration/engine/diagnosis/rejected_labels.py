@@ -11,7 +11,7 @@ from calibration.engine.diagnosis.finding import Finding, Severity, first_names
 from calibration.engine.diagnosis.limits import Limits, allowed, limit_in_labels, of_the_labels, stated
 from calibration.engine.estimation.covariance.result import Calibration, DroppedView
 from calibration.engine.estimation.covariance.suspects import Suspect
-from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
+from calibration.engine.estimation.least_squares.minimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.start.wrong_views import ARM_ERRORS
 
 MIN_WARNING_SHARE, MIN_RED_SHARE = 0.01, 0.05

@@ -12,7 +12,7 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.covariance.result import Calibration, LabelErrors, label_errors
-from calibration.engine.estimation.residuals.statistics import median, score_of_f, threshold
+from calibration.engine.statistics import median, score_of_f, threshold
 
 MAX_DETECTOR_NOISE = 0.35
 """px: limit of a good corner detector's noise in sharp images."""

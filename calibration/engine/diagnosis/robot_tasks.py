@@ -9,7 +9,7 @@ from calibration.base.arrays import Array
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.precision import ADVICE_ON_CONTRADICTIONS, ADVICE_TO_ADD, ADVICE_TO_MEND
 from calibration.engine.estimation.covariance.error_bars import ErrorSource, SourceKind
-from calibration.engine.tasks.gaussian_norm import quantile_of_norm
+from calibration.engine.statistics import quantile_of_norm
 from calibration.engine.tasks.task_errors import MOST, TaskError
 
 IN_WORDS: dict[SourceKind, str] = {

@@ -10,9 +10,9 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset, Edge, Joint, PointLabels, PoseLabels
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import distance
+from calibration.engine.statistics import median
 
 MM_PER_METRE = 1000.0
 METRES_PER_UNIT = {"millimetres": 1 / MM_PER_METRE, "centimetres": 0.01, "inches": 0.0254}

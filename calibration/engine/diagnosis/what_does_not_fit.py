@@ -33,11 +33,10 @@ from calibration.engine.estimation.covariance.suspects import (
     Suspect,
     columns_of_cause,
 )
-from calibration.engine.estimation.residuals.statistics import score_of_f, threshold
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
-from calibration.engine.tasks.gaussian_norm import probability_beyond, size_without_error
+from calibration.engine.statistics import probability_beyond, score_of_f, size_without_error, threshold
 from calibration.engine.tasks.task_errors import TaskError
 
 GROSS_DEVIATIONS: Mapping[str, tuple[float, str]] = {

@@ -1,9 +1,9 @@
 """Estimation: from labels to transforms with their covariances. Numpy only.
 
-A dataset's way: `calibrate.calibrate` is `solve(prepare(dataset, options), noise)`. `prepare.prepare` decides once what
-does not depend on noise: the scale of measured poses (`pose_scale`), the problem, its linear start, wrong views, lags,
-and the optimum from there (`from_linear_start`, `at_optimum`). `calibrate.solve` returns that optimum, or calibrates
-from a noisy start. ``options`` are those of a calibration.
+A dataset's way: `calibrate.calibrate` is `solve(prepare(dataset, options), noise)`. `prepare` decides once what does
+not depend on noise: the scale of measured poses and lags (`scale_and_lags`), the problem, its linear start, wrong
+views, and the optimum from there (`at_optimum`). `solve` returns that optimum, or calibrates from a noisy start.
+``options`` are those of a calibration.
 
 The sub-rooms, in the order of the computation; each imports only those before it:
 

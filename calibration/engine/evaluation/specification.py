@@ -6,17 +6,19 @@ from functools import partial
 
 from calibration.base import InputError
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.dataset.truth import Truth
 from calibration.engine.evaluation.label_errors import MEASURED_POSE_COLUMNS, measured_poses, single_rgb
-from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar
-from calibration.engine.evaluation.range_to_rgb import (
-    annotation_for,
-    depth_to_rgb,
-    lidar_to_rgb,
-)
-from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.engine.evaluation.table import RMS_PIX, Table
-from calibration.engine.evaluation.truth import ground_truth_frame, ground_truth_transform
+from calibration.engine.evaluation.truth import Truth, ground_truth_frame, ground_truth_transform
+from calibration.engine.evaluation.two_sensors import (
+    annotation_for,
+    depth_to_depth,
+    depth_to_rgb,
+    inter_collection_rgb_to_rgb,
+    lidar_to_depth,
+    lidar_to_lidar,
+    lidar_to_rgb,
+    rgb_to_rgb,
+)
 from calibration.engine.evaluation.views import pattern_of
 
 Names = tuple[str, ...]

@@ -1,21 +1,7 @@
-"""Points of a robot task at a calibration, and the derivatives of its error by all parameters of the calibration.
+"""Points of a robot task at a calibration: where they are, at which poses of the robot, and who sees them."""
 
-What the sensors measure of a point is given: pixels, ranges. Parameters that are off then put the point elsewhere. In
-the frame F in which the error counts, the displacement ``dy`` of a point y follows from one equation for each
-measurement, with the displacement ``c`` by the chain of transforms from F to the sensor (of its measured point, carried
-along)::
-
-    S (dy - c) + D dk = 0      a pixel, by its slopes S by the point, and its derivatives D by the intrinsics k
-    u^T (dy - c) = 0           the known distance along the ray u of a single camera
-    n^T dy = 0                 a point on a plane
-    dy = c - d                 a point of a LiDAR or a depth camera, whose ranges and beams are off by d
-
-solved by least squares where there are more than three. In the image of a camera whose frame is F the error is
-``S dy + D dk``.
-"""
-
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,15 +9,10 @@ import numpy as np
 from calibration.base import InputError, did_you_mean
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
-from calibration.engine.estimation.covariance.fixed_inputs import STILL_TOLERANCE, Chain, chain_along, joint_axis
-from calibration.engine.estimation.covariance.result import Solution
-from calibration.engine.estimation.problem.blocks import Pose
-from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
-from calibration.engine.geometry import rotations
+from calibration.engine.estimation.covariance.fixed_inputs import STILL_TOLERANCE, joint_axis
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.transforms import adjoint, apply, inverse, translation
-from calibration.engine.tasks.robot_task import RobotTask, TaskUnit
-from calibration.engine.tasks.work_poses import WorkPoses
+from calibration.engine.geometry.transforms import apply
+from calibration.engine.tasks.robot_task import RobotTask, TaskUnit, WorkPoses
 
 COLUMNS_OVER_IMAGE, ROWS_OVER_IMAGE = 9, 7
 """Points of a task all over an image; those of the outer ones are on its border."""
@@ -109,9 +90,9 @@ def frames_of_task(dataset: Dataset, task: RobotTask) -> TaskFrames:
     sensors = [_known_sensor(dataset, task, "seen-by", name) for name in task.seen_by]
     image = _known_sensor(dataset, task, "in-image-of", task.image) if task.image else None
     cameras = [each for each in (image, *sensors) if each and _camera_of(each)]
-    for key, each in (("in-image-of", image), *(("seen-by", sensor) for sensor in sensors)):
-        must = key == "in-image-of" or len(sensors) > 1 or task.plane is not None or not _is_metric(each)
-        if each is not None and must and _camera_of(each) is None:
+    for key, each in (*((("in-image-of", image),) if image else ()), *(("seen-by", sensor) for sensor in sensors)):
+        must = key == "in-image-of" or len(sensors) > 1 or task.plane is not None or each.modality.has_corners
+        if must and _camera_of(each) is None:
             raise _fault(task, key, f"'{each.name}' has no intrinsics, which this task needs: expected a camera")
     frame = image.frame if image else task.plane or task.frame or sensors[0].frame
     points_in = task.points_in or task.of or frame
@@ -185,11 +166,6 @@ def _known_sensor(dataset: Dataset, task: RobotTask, key: str, name: str) -> Sen
 def _camera_of(sensor: Sensor) -> Camera | None:
     """Return the camera of a sensor whose labels are corners; a depth camera measures points."""
     return sensor.camera if sensor.modality.has_corners else None
-
-
-def _is_metric(sensor: Sensor | None) -> bool:
-    """Whether a sensor measures where a point is, not only its direction."""
-    return sensor is not None and not sensor.modality.has_corners
 
 
 def _poses_of_robot(dataset: Dataset, task: RobotTask, frame: str, ends: Iterable[str]) -> IntArray:
@@ -337,172 +313,3 @@ def _refuse_unreachable(dataset: Dataset, work: Dataset, task: RobotTask, frame:
 def _moves(dataset: Dataset, edge: Edge) -> bool:
     T = dataset.transforms[edge]
     return bool(np.nanmax(np.abs(T - T[0])) > STILL_TOLERANCE)
-
-
-def task_jacobian(solution: Solution, placed: PlacedTask) -> Array:
-    """Return the derivatives (n, m, C) of a task's error by the C columns of the linear model, in its unit.
-
-    Args:
-        solution: optimum of the calibration.
-        placed: the task at it: n points that count; m is 2 in an image and on a plane, else 3.
-    """
-    task, y = placed.task, placed.places
-    dataset = solution.dataset
-    columns = TaskColumns(solution, placed)
-    if task.of is not None:
-        moved = columns.displacement(task.of)
-    else:
-        moved = _measured_displacement(columns, [dataset.sensors[name] for name in task.seen_by])
-    if task.image is not None:
-        camera = dataset.sensors[task.image]
-        slopes, own = columns.slopes(camera), columns.of_intrinsics(camera)
-        moved = slopes @ moved + own
-    elif task.plane is not None:
-        moved = moved[:, :2]
-    elif task.unit == "deg":
-        far = np.linalg.norm(y, axis=-1)[:, None, None]
-        unit = y[..., None] / far
-        moved = (moved - unit @ (np.swapaxes(unit, 1, 2) @ moved)) / far
-    return np.asarray(UNIT_PER_SI[task.unit] * moved)
-
-
-def _measured_displacement(columns: "TaskColumns", sensors: Sequence[Sensor]) -> Array:
-    """Return the displacement (n, 3, C) in F of points that sensors measure, see the module."""
-    placed = columns.placed
-    first = sensors[0]
-    if _is_metric(first):
-        return columns.displacement(first.frame) + columns.of_ranges(first)
-    rows, sides = [], []
-    for sensor in sensors:
-        slopes = columns.slopes(sensor)
-        rows.append(slopes)
-        sides.append(slopes @ columns.displacement(sensor.frame) - columns.of_intrinsics(sensor))
-    if len(sensors) == 1:
-        scale = np.linalg.norm(rows[0], axis=(1, 2))[:, None, None]  # a row as large as those of the pixels
-        if placed.task.plane is not None:
-            rows.append(np.broadcast_to([0.0, 0.0, 1.0], (len(placed.places), 1, 3)) * scale)
-            sides.append(np.zeros((len(placed.places), 1, columns.count)))
-        else:
-            along = scale * columns.rays(first)[:, None]
-            rows.append(along)
-            sides.append(along @ columns.displacement(first.frame))
-    H = np.concatenate(rows, 1)
-    back = np.swapaxes(H, 1, 2)
-    return np.asarray((np.linalg.inv(back @ H) @ back) @ np.concatenate(sides, 1), float)
-
-
-@dataclass(frozen=True, eq=False)
-class TaskColumns:
-    """Effects of each column of the linear model on the n points of a task: C columns, calibrated ones first."""
-
-    solution: Solution
-    placed: PlacedTask
-
-    @property
-    def count(self) -> int:
-        """C."""
-        model = self.solution.model
-        return model.places[-1].stop if model.places else model.shared
-
-    def displacement(self, end: str) -> Array:
-        """Return the displacement (n, 3, C) in F of points that a frame carries, by the transforms between."""
-        placed, work = self.placed, self.placed.work
-        chain = chain_along(work, work.tree.path(placed.frame, end), np.arange(len(placed.collections)))
-        elsewhere = None if placed.task.work_poses is None else work
-        chain = replace(chain, collections=placed.collections, elsewhere=elsewhere)
-        twists = np.zeros((len(placed.collections), 6, self.count))  # in the frame that carries them
-        for at, columns in self._twists(chain):
-            twists[:, :, at] += columns
-        pose, _ = placed.at
-        R = chain.T[pose, :3, :3]
-        p = np.einsum("nji,nj->ni", R, placed.places - chain.T[pose, :3, 3])
-        carried = np.concatenate([R, -R @ rotations.hat(p)], -1)  # (n, 3, 6): displacements by a twist
-        if len(twists) == 1:  # one product for all points, which is faster
-            return np.asarray((carried.reshape(-1, 6) @ twists[0]).reshape(len(pose), 3, -1))
-        return np.asarray(carried @ twists[pose])
-
-    def _twists(self, chain: Chain) -> Iterator[tuple[slice, Array]]:
-        """Yield the twists (V, 6, k) of a chain's pose by the parameters of transforms, calibrated and held."""
-        solution = self.solution
-        problem, work = solution.setup.problem, self.placed.work
-        joints = {joint.edge: joint for joint in work.joints.values()}
-        centres = {pattern.edge: adjoint(translation(pattern.centre)) for pattern in work.patterns.values()}
-        for block, at in problem.shared_parameters.items():
-            edge, kind = problem.blocks[block].edge, problem.blocks[block]
-            if edge is None:
-                continue
-            columns: Array | None = centres.get(edge)  # a pattern's block is at the centre of its corners
-            if kind.joint is not None:
-                joint = joints[edge]
-                own = kind.joint.model.columns(solution.values[block])[:, kind.joint.at]
-                columns = adjoint(inverse(joint.model.motion(joint.positions))) @ own
-            elif not isinstance(kind.parameters, Pose):
-                continue
-            if (moved := chain.twist(edge, columns)) is not None:
-                yield at, moved
-        for cause, at in solution.model.placed():
-            if callable(cause.effect) and (moved := cause.effect(chain)) is not None:
-                yield at, moved
-
-    def _in_sensor(self, sensor: Sensor) -> tuple[Array, Array]:
-        """Return ``R_F_sensor`` (n, 3, 3), and the points (n, 3) in the sensor's frame."""
-        placed, (pose, _) = self.placed, self.placed.at
-        T = placed.work.transform(placed.frame, sensor.frame)[pose]
-        R = T[:, :3, :3]
-        return R, np.einsum("nji,nj->ni", R, placed.places - T[:, :3, 3])
-
-    def rays(self, sensor: Sensor) -> Array:
-        """Return the directions (n, 3) from a sensor to the points, in F."""
-        R, p = self._in_sensor(sensor)
-        return np.asarray(np.einsum("nij,nj->ni", R, p / np.linalg.norm(p, axis=-1, keepdims=True)))
-
-    def slopes(self, sensor: Sensor) -> Array:
-        """Return the derivatives (n, 2, 3) of the pixels by the points, in F."""
-        R, p = self._in_sensor(sensor)
-        return np.asarray(np.moveaxis(_known_camera(sensor).slopes(p.T), -1, 0) @ np.swapaxes(R, 1, 2))
-
-    def of_intrinsics(self, sensor: Sensor) -> Array:
-        """Return the derivatives (n, 2, C) of the pixels by a camera's intrinsics."""
-        camera = _known_camera(sensor)
-        _, p = self._in_sensor(sensor)
-        x, y = camera.distortion.chart.coordinates(p.T, camera.distortion.sees)
-        own = np.moveaxis(_derivatives_of_pixels(camera, x, y), -1, 0)  # (n, parameters, 2)
-        return self._of_labels(sensor, (*camera.parameters, *ERRORS_BEYOND_LENS_MODEL), np.swapaxes(own, 1, 2))
-
-    def of_ranges(self, sensor: Sensor) -> Array:
-        """Return the displacement (n, 3, C) in F by the errors of a sensor's ranges and beams."""
-        R, p = self._in_sensor(sensor)
-        far, flat = np.linalg.norm(p, axis=-1), np.maximum(np.hypot(p[:, 0], p[:, 1]), 1e-9)
-        lower = np.stack([p[:, 0] * p[:, 2] / flat, p[:, 1] * p[:, 2] / flat, -flat], -1)
-        errors = np.stack([p / far[:, None], p, lower], -1)
-        return self._of_labels(sensor, ("bias", "scale", "elevation"), -R @ errors)
-
-    def _of_labels(self, sensor: Sensor, names: Sequence[str], effects: Array) -> Array:
-        """Return effects (n, m, C) by effects (n, m, k) of a sensor's own parameters, by their names."""
-        problem, model = self.solution.setup.problem, self.solution.model
-        weights = np.zeros((len(names), self.count))
-        rows = {(sensor.name, name): k for k, name in enumerate(names)}
-        for block, at in problem.shared_parameters.items():
-            if (free := problem.blocks[block].intrinsics) is not None and free.sensor == sensor.name:
-                weights[[rows[sensor.name, name] for name in free.free], range(at.start, at.stop)] = 1.0
-        for cause, at in model.placed():
-            for column, combination in enumerate(() if callable(cause.effect) else cause.effect, at.start):
-                for label, weight in combination.items():
-                    if label in rows:
-                        weights[rows[label], column] = weight
-        n, m, _ = effects.shape
-        return np.asarray((effects.reshape(n * m, -1) @ weights).reshape(n, m, -1))
-
-
-def _known_camera(sensor: Sensor) -> Camera:
-    if sensor.camera is None:
-        raise AssertionError("a camera has intrinsics")
-    return sensor.camera
-
-
-def _derivatives_of_pixels(camera: Camera, x: Array, y: Array) -> Array:
-    """Return the derivatives (k, 2, n) by the intrinsics, and by the errors beyond the lens's model."""
-    xd, yd = camera.distortion.distort(x, y)
-    none, r2 = np.zeros_like(x), xd * xd + yd * yd
-    beyond = np.array([(camera.fx * yd, none), (camera.fx * r2, none), (none, camera.fy * r2)])
-    return np.asarray(np.concatenate([camera.derivatives(x, y), beyond]))

@@ -27,10 +27,10 @@ from calibration.ci.execution.job import Job
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.ros import MESSAGES_FOLDER, recorder_reasons
 from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.engine.dataset import truth
 from calibration.engine.dataset.model import CornerLabels, Dataset, label_count
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_document
+from calibration.engine.evaluation.truth import TRUTH_FILE
 from calibration.pipeline.collection.report import report
 from calibration.pipeline.collection.request import (
     MOTION_PATH,
@@ -229,7 +229,7 @@ def _write_descriptions(plan: ApplicationPlan, new: Path) -> None:
         write_atomically(new / name, content)
     request = plan.request
     if plan.motion is not None and request.truth is None:
-        write_document(truth_document(play(plan.system, plan.motion, request.seed), ()), new / truth.FILE_NAME)
+        write_document(truth_document(play(plan.system, plan.motion, request.seed), ()), new / TRUTH_FILE)
 
 
 def _read_player_report(outcome: JobOutcome) -> list[dict[str, Any]]:

@@ -13,7 +13,6 @@ from calibration.engine.baseline.calibration_document import TaskDocument
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.dataset.reading import FILE_NAME
-from calibration.engine.dataset.truth import Truth
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.precision import worst_false_accept
@@ -22,12 +21,11 @@ from calibration.engine.estimation.covariance.lens_errors import LensSource
 from calibration.engine.estimation.covariance.projection import Projection, given_lens, projection_of
 from calibration.engine.estimation.covariance.result import CalibratedJoint, CalibratedLag, Calibration
 from calibration.engine.estimation.problem.blocks import CalibratedIntrinsics
-from calibration.engine.evaluation.truth import with_true_values
+from calibration.engine.evaluation.truth import Truth, with_true_values
 from calibration.engine.geometry.rotations import rpy_rates, to_quaternion, to_rpy
 from calibration.engine.geometry.transforms import distance
-from calibration.engine.tasks.carried_out import errors_of_robot
 from calibration.engine.tasks.placed_task import COLUMNS_OVER_IMAGE, UNIT_PER_SI
-from calibration.engine.tasks.task_errors import TaskError
+from calibration.engine.tasks.task_errors import TaskError, errors_of_robot
 from calibration.pipeline.matrix.cell_result import (
     CellResult,
     Details,

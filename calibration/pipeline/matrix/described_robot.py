@@ -7,8 +7,7 @@ import numpy as np
 
 from calibration.base import InputError
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.tasks.robot_task import RobotTask
-from calibration.engine.tasks.work_poses import WorkPoses
+from calibration.engine.tasks.robot_task import RobotTask, WorkPoses
 from calibration.robot.simulation.system import ROBOT_FILE
 from calibration.robot.urdf import Robot, compose, read_robot
 

@@ -11,7 +11,6 @@ from calibration.base import InputError
 from calibration.engine.baseline.calibration_document import CalibrationDocument, CalibrationDocuments
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.dataset.truth import Truth
 from calibration.engine.dataset.writing import DatasetWriter, bring_payload
 from calibration.engine.diagnosis.against_optimum import OurOptimum, find_optimum
 from calibration.engine.diagnosis.check_data import check_data
@@ -19,9 +18,10 @@ from calibration.engine.diagnosis.conventions.trying import conventions
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.calibrate import Prepared, prepare
 from calibration.engine.estimation.options import Options
-from calibration.engine.estimation.prepare import Prepared, prepare
 from calibration.engine.estimation.start.lens_choice import LensChoice
+from calibration.engine.evaluation.truth import Truth
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.task_errors import task_errors
 

@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 from calibration.base import InputError, did_you_mean
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.engine.dataset.changes import refuse_changes
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import choose_truth
+from calibration.engine.dataset.reading import read_dataset, refuse_changes
 from calibration.engine.diagnosis.copies import without_copies
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.estimation.start.lens_choice import with_chosen_lenses
+from calibration.engine.evaluation.truth import choose_truth
 from calibration.engine.tasks.placed_task import frames_of_task
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from calibration.base import count_of
 from calibration.base.records import field, result
 from calibration.engine.baseline.calibration_document import PromiseDocument
-from calibration.engine.next_pose.advice import MAX_NEEDED, WORTH_TAKING
+from calibration.engine.next_pose import MAX_NEEDED, WORTH_TAKING
 from calibration.engine.tasks.robot_task import TaskUnit
 
 MANY_POSES = 20

@@ -47,7 +47,7 @@ from calibration.pipeline.matrix.cell_result import (
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 
 if TYPE_CHECKING:
-    from calibration.engine.comparison.methods import Method
+    from calibration.engine.comparison import Method
 
 
 NO_FINITE_RMS = "corners lie behind a camera, or where its lens model has no inverse; is the lens model the right one?"
@@ -59,7 +59,7 @@ def other_method(name: str) -> "Method":
     Raises:
         InputError: there is no such method.
     """
-    from calibration.engine.comparison.methods import method_of  # most matrices compare with no other method
+    from calibration.engine.comparison import method_of  # most matrices compare with no other method
 
     return method_of(name)
 

@@ -14,12 +14,12 @@ from calibration import __version__
 from calibration.base import InputError, link_or_copy, write_atomically
 from calibration.base.records import read, text_of
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
-from calibration.engine.dataset import truth
 from calibration.engine.dataset.configuration import PatternConfiguration, parse_configuration
 from calibration.engine.dataset.document import Node, locate, read_json
 from calibration.engine.dataset.model import ESTIMATED_KEY
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
+from calibration.engine.evaluation.truth import TRUTH_FILE
 from calibration.robot.importing.document import data_file, label_document
 from calibration.robot.importing.image_views import LabelledMoment, contact_sheet, view_of_file
 from calibration.robot.importing.recorded import check_seen
@@ -128,16 +128,16 @@ def _write_truth(to: Path, more: Path, names: Mapping[str, str], new: Path) -> N
     Raises:
         InputError: they have others.
     """
-    if not all((folder / truth.FILE_NAME).is_file() for folder in (to, more)):
-        if (to / truth.FILE_NAME).is_file():
-            raise InputError(f"{to / truth.FILE_NAME}: found ground truth, and none in {more}: add what has it too")
+    if not all((folder / TRUTH_FILE).is_file() for folder in (to, more)):
+        if (to / TRUTH_FILE).is_file():
+            raise InputError(f"{to / TRUTH_FILE}: found ground truth, and none in {more}: add what has it too")
         return
-    mine, other = (json.loads((folder / truth.FILE_NAME).read_bytes()) for folder in (to, more))
+    mine, other = (json.loads((folder / TRUTH_FILE).read_bytes()) for folder in (to, more))
     for key in ("sensors", "pattern", "transforms", "joints"):
         if mine.get(key) != other.get(key):
-            raise InputError(f"{more / truth.FILE_NAME}: {key}: differs from that of {to}: another robot")
+            raise InputError(f"{more / TRUTH_FILE}: {key}: differs from that of {to}: another robot")
     mine["patterns"] |= _renamed(other["patterns"], names)
-    write_document(mine, new / truth.FILE_NAME)
+    write_document(mine, new / TRUTH_FILE)
 
 
 Done = Callable[[int, int, LabelledMoment], None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from calibration.base import InputError, read_bytes
 from calibration.base.arrays import Array
-from calibration.engine.dataset.pointcloud import read_points, write_points
+from calibration.engine.dataset.sensor_data import read_points, write_points
 from calibration.robot.importing.bags.range_views import MAX_POINTS, RangeView, cloud_message
 from calibration.robot.importing.files.confined_decoding import confined_decoding
 from calibration.robot.importing.files.structured_files import is_number

@@ -11,11 +11,10 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration
 from calibration.engine.dataset.edges import pose_document, transform_documents
 from calibration.engine.dataset.frames import VELOCITIES_KEY, velocity_documents
-from calibration.engine.dataset.lens_uncertainty import UNCERTAINTY_KEY, LensUncertainty, uncertainty_document
 from calibration.engine.dataset.modalities import MODALITIES
-from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED_KEY, ROUGH_KEY, Edge
+from calibration.engine.dataset.model import CHOSEN_MODELS, ESTIMATED_KEY, ROUGH_KEY, Edge, LensUncertainty
 from calibration.engine.dataset.pattern import pattern_document
-from calibration.engine.dataset.sensors import camera_document
+from calibration.engine.dataset.sensors import UNCERTAINTY_KEY, camera_document, uncertainty_document
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView

@@ -10,8 +10,7 @@ import numpy as np
 from calibration.base import CalibrationError, InputError, UndeterminedError, temporary_folder
 from calibration.base.arrays import Array, BoolArray
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration
-from calibration.engine.dataset.lens_uncertainty import LensUncertainty
-from calibration.engine.dataset.model import CornerLabels, Dataset, Edge
+from calibration.engine.dataset.model import CornerLabels, Dataset, Edge, LensUncertainty
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.calibrate import calibrate

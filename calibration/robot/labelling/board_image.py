@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.engine.estimation.residuals.statistics import median
+from calibration.engine.statistics import median
 from calibration.robot.labelling.detection import Image
 
 WEIGHT_REACH = 1.5

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.detection import DepthImage, NotDetected

@@ -17,7 +17,7 @@ CORNER_DECIMALS = 4
 """Decimals of the corners' pixels."""
 
 DepthImage = NDArray[np.uint16]
-"""(H, W): the depth along the optical axis as in `calibration.engine.dataset.depth_image`."""
+"""(H, W): the depth along the optical axis as in `calibration.engine.dataset.sensor_data`."""
 
 
 @dataclass(frozen=True)

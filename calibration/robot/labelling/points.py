@@ -14,9 +14,9 @@ import numpy as np
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.residuals.ray_residuals import RING_GAP
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, inverse, transform
+from calibration.engine.statistics import median
 from calibration.robot.labelling.detection import NotDetected
 
 LEAST_POINTS = 10

@@ -4,8 +4,8 @@ import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry.transforms import apply
+from calibration.engine.statistics import median
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import (
     DEFAULT_TOLERANCE_M,

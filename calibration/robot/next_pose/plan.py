@@ -10,9 +10,7 @@ from calibration.engine.estimation.covariance.calibrated import calibrated_datas
 from calibration.engine.estimation.covariance.result import Solution
 from calibration.engine.estimation.options import Assumptions
 from calibration.engine.estimation.start.build import build
-from calibration.engine.next_pose.advice import Advice, PoseAdvisor
-from calibration.engine.next_pose.goals import goals_before
-from calibration.engine.next_pose.knowledge import knowledge_before
+from calibration.engine.next_pose import Advice, PoseAdvisor, goals_before, knowledge_before
 from calibration.robot.next_pose.candidates import PoseCandidates
 from calibration.robot.simulation.motion.generation import find_candidates
 from calibration.robot.simulation.motion.information import expected_dataset, expected_noise, true_values

@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.comparison import (
+from calibration.engine.baseline.comparison import compare
+from calibration.engine.statistics import (
     change_points,
     chi_squared_quantile,
     chi_squared_tail,
-    compare,
     creeps,
     noise_of,
     t_squared_quantile,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.engine.baseline.calibration_document import CalibratedPose
-from calibration.engine.baseline.fleet import FLEET_WISE, MIN_ROBOTS, compare_fleet
+from calibration.engine.baseline.comparison import FLEET_WISE, MIN_ROBOTS, compare_fleet
 
 SPREAD_MM, SPREAD_DEG, OWN_MM, OWN_DEG = 1.0, 0.1, 0.15, 0.02
 """Standard deviations on each axis: of mounts, and of calibrations."""

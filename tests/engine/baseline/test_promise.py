@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument, PromiseDocument
-from calibration.engine.baseline.promise import promise_not_kept
+from calibration.engine.baseline.quality import promise_not_kept
 
 POSE = CalibratedPose("base", "camera", (0, 0, 0), (0, 0, 0), "camera", (0.3, 0.3, 0.3), (0.01, 0.01, 0.01), (0,) * 15)
 BEFORE = CalibrationDocument(

@@ -8,8 +8,8 @@ import pytest
 
 import calibration.engine.comparison.arm as arm_module
 from calibration.base import InputError, UndeterminedError
+from calibration.engine.comparison import COMPARISON_METHODS
 from calibration.engine.comparison.arm import why_not_arm
-from calibration.engine.comparison.methods import COMPARISON_METHODS
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.engine.comparison import hand_eye_solvers as solvers
-from calibration.engine.comparison.hand_eye_solvers import relative_motions
+from calibration.engine.comparison import arm as solvers
+from calibration.engine.comparison.arm import relative_motions
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform
 

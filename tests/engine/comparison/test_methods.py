@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from calibration.base import InputError
-from calibration.engine.comparison.methods import COMPARISON_METHODS, method_of
+from calibration.engine.comparison import COMPARISON_METHODS, method_of
 from tests.engine.evaluation.scene import applicable, arm, lidar_and_camera, range_pair, two_cameras
 
 
@@ -32,8 +32,5 @@ def test_each_system_has_its_methods():
 
 
 def test_opencv_is_not_imported_before_it_is_needed():
-    code = (
-        "import sys, calibration.engine.comparison.methods; "
-        "assert 'cv2' not in sys.modules and 'scipy' not in sys.modules"
-    )
+    code = "import sys, calibration.engine.comparison; assert 'cv2' not in sys.modules and 'scipy' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from calibration.base import InfrastructureError, InputError, UndeterminedError
-from calibration.engine.comparison.methods import COMPARISON_METHODS
+from calibration.engine.comparison import COMPARISON_METHODS
 from calibration.engine.comparison.sensor_pairs import opencv_stereo, why_not_stereo
 from calibration.engine.dataset.modalities import DEPTH
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.evaluation.two_sensors import rgb_to_rgb
 from calibration.engine.geometry.lenses import Equidistant, Rational
 from calibration.engine.geometry.transforms import distance, from_xyz_rpy, retract
 from tests.engine.evaluation.scene import WIDE, arm, cut, lidar, two_cameras

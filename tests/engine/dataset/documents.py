@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calibration.engine.dataset.pointcloud import write_points
+from calibration.engine.dataset.sensor_data import write_points
 
 Document = dict[str, Any]
 MISSING = object()

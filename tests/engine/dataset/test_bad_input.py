@@ -9,8 +9,8 @@ import pytest
 
 from calibration.base import ExitCode, InputError
 from calibration.engine.dataset.document import MAX_BYTES
-from calibration.engine.dataset.pointcloud import write_points
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.sensor_data import write_points
 from tests.engine.dataset import documents
 from tests.engine.dataset.documents import CLOUD, MISSING, changed
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from calibration.base import InfrastructureError, InputError
-from calibration.engine.dataset.depth_image import NO_RETURN, read_depth_image
 from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.sensor_data import NO_RETURN, read_depth_image
 from calibration.engine.dataset.writing import write_dataset
 from calibration.engine.geometry.cameras import Camera
 from tests.engine.dataset import documents

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from calibration.base import InputError
 from calibration.engine.dataset.configuration import parse_configuration, read_configuration
 from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.pointcloud import decode_pcd
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import read_truth, truth_of
+from calibration.engine.dataset.sensor_data import decode_pcd
 from calibration.engine.dataset.writing import write_dataset
+from calibration.engine.evaluation.truth import read_truth, truth_of
 from tests.engine.dataset import documents
 
 scalars = st.one_of(

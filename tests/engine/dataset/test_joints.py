@@ -8,8 +8,8 @@ import pytest
 
 from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import truth_of
 from calibration.engine.dataset.writing import dataset_document, write_dataset
+from calibration.engine.evaluation.truth import truth_of
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from tests.engine.dataset import documents
 from tests.engine.dataset.documents import MISSING, changed

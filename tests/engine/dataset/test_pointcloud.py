@@ -9,8 +9,8 @@ from hypothesis.extra import numpy as arrays
 
 from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.engine.dataset.modalities import LIDAR2D
-from calibration.engine.dataset.pointcloud import MAX_RAYS, decode_pcd, read_points, write_points
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.sensor_data import MAX_RAYS, decode_pcd, read_points, write_points
 from calibration.engine.dataset.writing import write_dataset
 from tests.engine.dataset.documents import MISSING, Document, changed, document, write
 

@@ -14,8 +14,8 @@ from calibration.engine.dataset.configuration import parse_configuration
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import LIDAR3D, RGB
 from calibration.engine.dataset.model import CornerLabels, PointLabels
-from calibration.engine.dataset.pointcloud import read_points
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.sensor_data import read_points
 from calibration.engine.geometry.transforms import from_quaternion
 from tests.engine.dataset import documents
 from tests.engine.dataset.documents import CLOUD, MISSING, changed

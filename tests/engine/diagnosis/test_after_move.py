@@ -11,9 +11,9 @@ from calibration.engine.diagnosis.after_move import after_move
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.limits import Limits
+from calibration.engine.estimation.calibrate import prepare
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
-from calibration.engine.estimation.prepare import prepare
 from calibration.engine.geometry.transforms import retract
 from tests.engine.estimation.scenes import Scene
 from tests.engine.estimation.systems import eye_to_hand, stereo

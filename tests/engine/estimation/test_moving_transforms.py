@@ -8,8 +8,8 @@ import pytest
 from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import Labels, PointLabels
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.least_squares.minimisation import optimise
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
-from calibration.engine.estimation.least_squares.optimisation import optimise
 from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.guesses import StartingNoise, perturb, with_starting_noise
 from calibration.engine.estimation.start.linear_start import linear_start

@@ -6,16 +6,21 @@ import numpy as np
 import pytest
 
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.estimation.least_squares import optimisation
-from calibration.engine.estimation.least_squares.minimisation import Evaluation, minimise
+from calibration.engine.estimation.least_squares import minimisation
+from calibration.engine.estimation.least_squares.minimisation import (
+    HUBER_THRESHOLD,
+    Evaluation,
+    WeightedOptimum,
+    minimise,
+    optimise,
+)
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels, estimate_scales, scales_of
 from calibration.engine.estimation.least_squares.normal_equations import Squares, Weighting, assemble
-from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD, WeightedOptimum, optimise
 from calibration.engine.estimation.problem.problem import Values
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
-from calibration.engine.estimation.start import flipped_patterns
+from calibration.engine.estimation.start import ambiguous_views
+from calibration.engine.estimation.start.ambiguous_views import unflipped
 from calibration.engine.estimation.start.build import Setup, build
-from calibration.engine.estimation.start.flipped_patterns import unflipped
 from calibration.engine.estimation.start.linear_start import linear_start
 from calibration.engine.geometry.transforms import distance, inverse, translation
 from tests.engine.estimation.scenes import shaken, true_values
@@ -154,7 +159,7 @@ def test_weights_that_fit_but_for_the_number_of_parameters_have_not_settled(robu
     squares = evaluation(setup, best.optimum.values, best.weighting).squares
     scales = scales_of(setup.problem, squares, {}, robust)
     now = evaluation(setup, best.optimum.values, Weighting(scales, best.weighting.huber))
-    found = optimisation._Noise(setup.problem, {}, robust)(now)
+    found = minimisation._Noise(setup.problem, {}, robust)(now)
     assert found.scales == pytest.approx(dict(best.weighting.scales), rel=1e-3)
     assert found.scales["pixel"] > 1.01 * scales["pixel"]
 
@@ -164,7 +169,7 @@ def test_weights_that_go_round_in_circles_stay_as_they_are_in_the_end():
     best = optimum(setup, robust=True)
     squares = evaluation(setup, best.optimum.values, best.weighting).squares
     found = Weighting(scales_of(setup.problem, squares, {}, True), HUBER_THRESHOLD)
-    noise, stayed = optimisation._Noise(setup.problem, {}, True), []
+    noise, stayed = minimisation._Noise(setup.problem, {}, True), []
     for k in range(40):
         scales = {kind: scale * (1 + 1e-5 * (-1) ** k) for kind, scale in found.scales.items()}
         now = evaluation(setup, best.optimum.values, Weighting(scales, HUBER_THRESHOLD))
@@ -189,7 +194,7 @@ def test_of_several_starts_one_without_a_cost_does_not_count(order):
         for T, block in zip(near, setup.problem.blocks, strict=True)
     )
     with np.errstate(all="ignore"):
-        values, cost = flipped_patterns._best_settled(
+        values, cost = ambiguous_views._best_settled(
             setup.problem, [near, nowhere][::order], which, best.weighting, np.array([-1e9, np.inf])[::order]
         )
     free = 1 if order == 1 else 0

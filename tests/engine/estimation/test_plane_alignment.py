@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.start.plane_alignment import align_planes, align_scans, fit_planes, scan_equations
+from calibration.engine.estimation.start.linear_solvers import align_planes, align_scans, fit_planes, scan_equations
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, distance, inverse, retract, transform
 from tests.engine.estimation.tangled import random_poses

@@ -9,10 +9,9 @@ import pytest
 from calibration.base import UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.estimation.calibrate import Options, calibrate, solve, solve_from_guess
+from calibration.engine.estimation.calibrate import Options, calibrate, prepare, solve, solve_from_guess
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.least_squares.optimisation import WeightedOptimum, optimise
-from calibration.engine.estimation.prepare import prepare
+from calibration.engine.estimation.least_squares.minimisation import WeightedOptimum, optimise
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.estimation.start.wrong_views import without
 from calibration.engine.geometry.frames import JOINT_PARAMETERS

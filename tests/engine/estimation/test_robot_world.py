@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.arrays import Array
-from calibration.engine.estimation.start.robot_world import RobotWorld, Spectrum, solve_li, solve_robot_world
+from calibration.engine.estimation.start.linear_solvers import RobotWorld, Spectrum, solve_li, solve_robot_world
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, retract, transform
 

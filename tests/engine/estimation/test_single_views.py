@@ -11,12 +11,12 @@ from calibration.engine.dataset.pattern import Pattern, grid, outline
 from calibration.engine.estimation.least_squares.minimisation import Termination
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm, side_by_side
 from calibration.engine.estimation.residuals.planar_pose import mirrored_poses
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.estimation.start.single_views import corner_term, fitted_poses, refined_poses
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, distance, retract, transform
+from calibration.engine.statistics import median
 
 CAMERA = Camera(700.0, 740.0, 640.0, 480.0, 1280, 960, PlumbBob(-0.2, 0.05, 1e-3, -2e-3, 0.01))
 SIZES = (10, 5, 0.06)

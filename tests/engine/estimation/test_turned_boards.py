@@ -12,7 +12,7 @@ from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.options import Options
-from calibration.engine.estimation.start.turned_boards import with_boards_turned_back, with_turned
+from calibration.engine.estimation.start.ambiguous_views import with_boards_turned_back, with_turned
 from calibration.engine.geometry.transforms import distance
 from tests.engine.estimation import systems
 

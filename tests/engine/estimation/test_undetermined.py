@@ -9,12 +9,11 @@ import pytest
 from calibration.base import ExitCode, InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, read_truth
 from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.evaluation.truth import Truth, read_truth, truth_error
 from calibration.engine.geometry.transforms import retract, transform
 from tests.engine.estimation.scenes import Scene, board, errors, pose, relabelled
 from tests.engine.estimation.systems import camera_and_lidar, eye_in_hand, eye_to_hand, rotating, stereo, two_bodies

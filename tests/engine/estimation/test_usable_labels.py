@@ -8,7 +8,7 @@ import pytest
 from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels, PointLabels
 from calibration.engine.estimation.calibrate import calibrate
-from calibration.engine.estimation.problem.usable_labels import MINIMUM_CORNERS, usable_labels
+from calibration.engine.estimation.start.build import MINIMUM_CORNERS, usable_labels
 from tests.engine.estimation.scenes import Scene, board, relabelled
 from tests.engine.estimation.systems import camera_and_lidar, camera_and_lidar2d, eye_in_hand, stereo
 

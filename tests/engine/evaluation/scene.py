@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.comparison.methods import COMPARISON_METHODS, Method
+from calibration.engine.comparison import COMPARISON_METHODS, Method
 from calibration.engine.dataset.modalities import DEPTH, LIDAR3D, RGB
 from calibration.engine.dataset.model import Collection, CornerLabels, Dataset, Edge, Labels, PointLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern, grid, outline

@@ -7,8 +7,7 @@ import pytest
 
 from calibration.base import InputError
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, find_truth, truth_of
-from calibration.engine.evaluation.truth import ground_truth_frame, ground_truth_transform
+from calibration.engine.evaluation.truth import Truth, find_truth, ground_truth_frame, ground_truth_transform, truth_of
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from tests.engine.evaluation.scene import two_cameras
 

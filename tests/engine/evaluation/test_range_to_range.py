@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from calibration.base import InputError
 from calibration.engine.dataset.modalities import LIDAR2D
 from calibration.engine.dataset.model import Dataset, PointLabels
-from calibration.engine.evaluation import range_to_range
-from calibration.engine.evaluation.range_to_range import depth_to_depth, lidar_to_depth, lidar_to_lidar, nearest
+from calibration.engine.evaluation import two_sensors
+from calibration.engine.evaluation.two_sensors import depth_to_depth, lidar_to_depth, lidar_to_lidar, nearest
 from calibration.engine.geometry.transforms import apply, retract
 from tests.engine.evaluation.scene import CAMERA, range_pair, with_labels
 
@@ -160,7 +160,7 @@ def test_no_other_point_lies_nearer(seed, count, among, dimensions):
 
 @pytest.mark.parametrize("chunk", [1, 7000, 1 << 20])
 def test_a_tree_finds_the_same_whatever_the_chunk(monkeypatch, chunk):
-    monkeypatch.setattr(range_to_range, "_CHUNK", chunk)
+    monkeypatch.setattr(two_sensors, "_CHUNK", chunk)
     rng = np.random.default_rng(1)
     points, others = rng.normal(size=(300, 3)), rng.normal(size=(500, 3))
     np.testing.assert_array_equal(nearest(points, others), cKDTree(others).query(points)[1])

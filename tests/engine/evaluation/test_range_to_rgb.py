@@ -10,7 +10,7 @@ from calibration.base import InputError
 from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, RGB
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.evaluation.range_to_rgb import (
+from calibration.engine.evaluation.two_sensors import (
     Annotation,
     annotate,
     annotate_detections,

@@ -11,7 +11,7 @@ from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import grid
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
+from calibration.engine.evaluation.two_sensors import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.rotations import exp
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, retract, transform, translation
@@ -265,5 +265,5 @@ def test_one_collection_has_no_pair():
 def test_many_pairs_are_done_in_parts(monkeypatch):
     dataset = arm(seed=18, n=6, noise=0.3)
     whole = inter_collection_rgb_to_rgb(dataset, "eye", "eye").to_csv()
-    monkeypatch.setattr("calibration.engine.evaluation.rgb_to_rgb._PAIRS_PER_CHUNK", 4)
+    monkeypatch.setattr("calibration.engine.evaluation.two_sensors._PAIRS_PER_CHUNK", 4)
     assert inter_collection_rgb_to_rgb(dataset, "eye", "eye").to_csv() == whole

@@ -14,10 +14,14 @@ from hypothesis import strategies as st
 from calibration.base import InputError
 from calibration.engine.dataset.modalities import RGB
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, find_truth, truth_of
-from calibration.engine.evaluation.range_to_rgb import annotation_for, lidar_to_rgb
-from calibration.engine.evaluation.rgb_to_rgb import inter_collection_rgb_to_rgb, rgb_to_rgb
 from calibration.engine.evaluation.specification import TABLE_KINDS, Evaluation, parse_evaluation
+from calibration.engine.evaluation.truth import Truth, find_truth, truth_of
+from calibration.engine.evaluation.two_sensors import (
+    annotation_for,
+    inter_collection_rgb_to_rgb,
+    lidar_to_rgb,
+    rgb_to_rgb,
+)
 from calibration.engine.geometry.transforms import retract
 from tests.engine.evaluation.scene import (
     T_LINK_OPTICAL,

@@ -9,8 +9,15 @@ import pytest
 from calibration.base import InputError
 from calibration.engine.dataset.model import Dataset, Joint
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, find_truth, truth_of
-from calibration.engine.evaluation.truth import JointError, PoseError, TruthError, truth_error
+from calibration.engine.evaluation.truth import (
+    JointError,
+    PoseError,
+    Truth,
+    TruthError,
+    find_truth,
+    truth_error,
+    truth_of,
+)
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.frames import JointModel, JointParameter
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, retract, translation

@@ -12,9 +12,9 @@ from calibration.engine.estimation.covariance.fixed_inputs import LINK_KIND
 from calibration.engine.estimation.covariance.result import Solution
 from calibration.engine.estimation.options import Options
 from calibration.engine.geometry.transforms import retract, translation
-from calibration.engine.tasks.carried_out import errors_of_robot
-from calibration.engine.tasks.placed_task import UNIT_PER_SI, PlacedTask, place_task, task_jacobian
+from calibration.engine.tasks.placed_task import UNIT_PER_SI, PlacedTask, place_task
 from calibration.engine.tasks.robot_task import RobotTask
+from calibration.engine.tasks.task_errors import errors_of_robot, task_jacobian
 from tests.engine.estimation import systems
 
 STEP = 1e-6

@@ -16,7 +16,7 @@ import pytest
 from calibration.base.tables import judge, parse_rules, read_table
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.evaluation.two_sensors import rgb_to_rgb
 from calibration.engine.geometry.transforms import distance
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 

@@ -10,10 +10,9 @@ import pytest
 
 from calibration.base import ExitCode, InputError
 from calibration.ci.report import Report
-from calibration.engine.comparison.methods import method_of
+from calibration.engine.comparison import method_of
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import truth_of
 from calibration.engine.diagnosis.against_optimum import find_optimum
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
@@ -22,6 +21,7 @@ from calibration.engine.estimation.problem.intrinsics import FILE_NAME as INTRIN
 from calibration.engine.estimation.problem.intrinsics import read_intrinsics
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
+from calibration.engine.evaluation.truth import truth_of
 from calibration.engine.geometry.rotations import from_rpy, to_rpy
 from calibration.engine.geometry.transforms import retract, translation
 from calibration.pipeline.matrix import running_cell

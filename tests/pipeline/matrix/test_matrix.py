@@ -12,9 +12,8 @@ import pytest
 from calibration.base import ExitCode, InfrastructureError, InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.estimation.calibrate import solve
+from calibration.engine.estimation.calibrate import Prepared, solve
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.prepare import Prepared
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.table import Table
 from calibration.engine.geometry.transforms import from_xyz_rpy

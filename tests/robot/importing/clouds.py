@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.pointcloud import encode_pcd
+from calibration.engine.dataset.sensor_data import encode_pcd
 
 
 def pcd_ascii(points: Array) -> bytes:

@@ -13,8 +13,7 @@ from calibration.base import InputError
 from calibration.commands.add_collections import command
 from calibration.engine.dataset.model import ESTIMATED_KEY
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
-from calibration.engine.dataset.truth import FILE_NAME as TRUTH_FILE
-from calibration.engine.dataset.truth import read_truth
+from calibration.engine.evaluation.truth import TRUTH_FILE, read_truth
 from calibration.robot.importing.amending import add_collections
 
 SHIPPED = Path(__file__).parents[3] / "datasets" / "t2rgb"

@@ -12,8 +12,8 @@ import yaml
 import calibration.engine.estimation.covariance.lens_errors as nominal_lens_module
 from calibration.base import InputError
 from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.lens_uncertainty import read_uncertainty, uncertainty_document
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.sensors import read_uncertainty, uncertainty_document
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.problem.intrinsics import write_intrinsics
 from calibration.engine.geometry.cameras import Camera

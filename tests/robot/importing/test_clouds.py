@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calibration.base import InputError
-from calibration.engine.dataset.pointcloud import read_points
 from calibration.engine.dataset.reading import read_dataset
+from calibration.engine.dataset.sensor_data import read_points
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.geometry.rotations import to_rpy
 from calibration.engine.geometry.transforms import distance, inverse

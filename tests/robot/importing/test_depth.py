@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from calibration.base import InputError
-from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.dataset.model import Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import choose_truth
+from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.evaluation.truth import choose_truth
 from calibration.engine.geometry.transforms import distance, translation
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest

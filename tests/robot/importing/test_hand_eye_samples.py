@@ -10,7 +10,7 @@ import yaml
 from calibration.__main__ import main
 from calibration.base import InputError, UndeterminedError
 from calibration.base.arrays import Array
-from calibration.engine.comparison.methods import COMPARISON_METHODS
+from calibration.engine.comparison import COMPARISON_METHODS
 from calibration.engine.dataset.model import Dataset, PoseLabels
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.diagnosis.limits import Limits
@@ -18,7 +18,7 @@ from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
 from calibration.engine.estimation.options import ALL_EXACT, Options, PoseNoise
-from calibration.engine.estimation.pose_scale import better_scale, divided
+from calibration.engine.estimation.scale_and_lags import better_scale, divided
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import distance, local
 from calibration.robot.importing.importing import import_data

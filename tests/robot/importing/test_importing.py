@@ -12,8 +12,8 @@ import pytest
 from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import choose_truth
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.evaluation.truth import choose_truth
 from calibration.engine.geometry.rotations import to_quaternion
 from calibration.engine.geometry.transforms import distance
 from calibration.robot.importing import importing

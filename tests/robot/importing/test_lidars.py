@@ -10,10 +10,10 @@ import pytest
 from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset, PointLabels
-from calibration.engine.dataset.pointcloud import read_points
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import choose_truth
+from calibration.engine.dataset.sensor_data import read_points
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.evaluation.truth import choose_truth
 from calibration.engine.geometry.transforms import apply, distance, inverse, translation
 from calibration.robot.importing.importing import import_data
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile, Kind

@@ -13,7 +13,7 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import Options, calibrate
-from calibration.engine.evaluation.rgb_to_rgb import rgb_to_rgb
+from calibration.engine.evaluation.two_sensors import rgb_to_rgb
 from calibration.engine.geometry.transforms import distance
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected

@@ -9,10 +9,9 @@ import pytest
 
 from calibration.engine.dataset.model import CornerLabels, Dataset, PointLabels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import find_truth
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.evaluation.truth import find_truth, truth_error
 from calibration.engine.geometry import transforms
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import apply, inverse

@@ -14,8 +14,8 @@ import numpy as np
 from calibration.addons.guard.outcome import MAX_FALSE_ALARM, t_squared_limit
 from calibration.addons.guard.witness.bundle import LENS_COLUMNS
 from calibration.base.arrays import Array
-from calibration.engine.baseline.comparison import t_squared_tail
 from calibration.engine.geometry.transforms import adjoint, inverse
+from calibration.engine.statistics import t_squared_tail
 
 EM_STEPS, EM_STRIDE = 10, 1.8
 """Steps of EM, and by how much farther than EM each goes; from above: what has not converged is stated too large."""

@@ -19,8 +19,8 @@ from calibration.engine.diagnosis.conventions.misfit import Hypothesis, Misfit
 from calibration.engine.diagnosis.conventions.recording import Recording, SeenPoses
 from calibration.engine.diagnosis.conventions.rotation_readings import Rereading, rereadings
 from calibration.engine.diagnosis.units import square
-from calibration.engine.estimation.start.robot_world import RobotWorld, solve_robot_world, solve_robot_world_robustly
-from calibration.engine.estimation.start.turned_boards import disagreement_of_each, rotations_that_agree
+from calibration.engine.estimation.start.ambiguous_views import disagreement_of_each, rotations_that_agree
+from calibration.engine.estimation.start.linear_solvers import RobotWorld, solve_robot_world, solve_robot_world_robustly
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import distance, inverse, transform
 

@@ -7,9 +7,8 @@ import numpy as np
 
 from calibration.base import CalibrationError, rounded
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.estimation.least_squares.minimisation import Termination, minimise
+from calibration.engine.estimation.least_squares.minimisation import HUBER_THRESHOLD, Termination, minimise
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
-from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.start.build import Setup

@@ -19,7 +19,7 @@ from calibration.engine.diagnosis.conventions.changed import (
 from calibration.engine.diagnosis.conventions.misfit import Hypothesis
 from calibration.engine.diagnosis.conventions.recording import Recording
 from calibration.engine.diagnosis.finding import first_names
-from calibration.engine.estimation.start.turned_boards import LOOKS_THE_SAME, with_turned
+from calibration.engine.estimation.start.ambiguous_views import LOOKS_THE_SAME, with_turned
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import distance, inverse

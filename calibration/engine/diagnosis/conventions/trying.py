@@ -24,7 +24,7 @@ from calibration.engine.diagnosis.conventions.sensor_hypotheses import (
 from calibration.engine.diagnosis.finding import Finding, FindingKind
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
-from calibration.engine.estimation.start.turned_boards import trace_differences
+from calibration.engine.estimation.start.ambiguous_views import trace_differences
 from calibration.engine.geometry.rotations import angle
 
 Hypotheses = Callable[[Recording], Iterator[Hypothesis]]

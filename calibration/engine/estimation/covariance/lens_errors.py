@@ -18,7 +18,7 @@ from typing import Literal
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.dataset.lens_uncertainty import LensUncertainty
+from calibration.engine.dataset.model import LensUncertainty
 from calibration.engine.dataset.pattern import Pattern, grid, rectangle
 from calibration.engine.estimation.least_squares.label_columns import COLUMNS_OF_BENT_PATTERN, POSE_COLUMNS, products
 from calibration.engine.estimation.least_squares.normal_equations import Weighting

@@ -41,7 +41,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     Cause,
 )
 from calibration.engine.estimation.covariance.linear_model import LinearModel
-from calibration.engine.estimation.residuals.statistics import score_of_f, threshold
+from calibration.engine.statistics import score_of_f, threshold
 
 MIN_CLUSTERS = 6
 """Minimum of independent collections to estimate their disagreement."""

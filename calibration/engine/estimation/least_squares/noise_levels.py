@@ -13,8 +13,8 @@ from calibration.engine.estimation.least_squares.normal_equations import Squares
 from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.estimation.residuals.views import Term
+from calibration.engine.statistics import median
 
 NOISE_KINDS: tuple[NoiseKind, ...] = get_args(NoiseKind)
 MIN_SIGMA_OF_KIND: dict[NoiseKind, float] = {kind: 1e-6 if kind == "pixel" else 1e-8 for kind in NOISE_KINDS}

@@ -2,5 +2,5 @@
 
 - ``blocks``: the unknowns and their parametrisations; ``intrinsics``: those of cameras, and their file;
 - ``problem``: blocks and views together, evaluated in batches;
-- ``fixing``: unknowns that are fixed, by the user or by the gauge; ``usable_labels``: the labels that count.
+- ``fixing``: unknowns that are fixed, by the user or by the gauge.
 """

@@ -14,9 +14,8 @@ import numpy as np
 from calibration.base import InputError, write_atomically
 from calibration.base.arrays import Array
 from calibration.engine.dataset.document import Node, read_json
-from calibration.engine.dataset.lens_uncertainty import read_covariance, read_parameters
 from calibration.engine.dataset.model import CornerLabels, Dataset
-from calibration.engine.dataset.sensors import MAX_INTRINSIC, camera_document
+from calibration.engine.dataset.sensors import MAX_INTRINSIC, camera_document, read_covariance, read_parameters
 from calibration.engine.estimation.problem.blocks import (
     ALL_CAMERAS,
     PARAMETERS_IN_PIXELS,

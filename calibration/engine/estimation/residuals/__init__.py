@@ -2,5 +2,5 @@
 
 - ``views``: the chain of each view's pose, and what residuals of all kinds have in common;
 - ``corner_residuals``, ``ray_residuals``, ``pose_residuals``: those of each kind of label;
-- ``planar_pose``: the pose of a pattern from one view; ``statistics``: median and standard scores.
+- ``planar_pose``: the pose of a pattern from one view.
 """

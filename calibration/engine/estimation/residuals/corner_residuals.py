@@ -28,7 +28,7 @@ from calibration.engine.estimation.residuals.views import Linearised, chunks, pr
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import LAST_STEP
-from calibration.engine.geometry.lenses.charts import IN_FRONT, Placed
+from calibration.engine.geometry.lenses.model import IN_FRONT, Placed
 
 ERRORS_BEYOND_LENS_MODEL = ("skew", "prism_x", "prism_y")
 """Errors of a lens that its model has no coefficients for: non-perpendicular axes, thin prism along x and y.
@@ -314,7 +314,7 @@ def _hessian_and_gradient(R: Array, found: _Projected, monomials: Array) -> tupl
 def _moments_of_projected(found: _Projected, monomials: Array) -> Array:
     """Return the moments (v, 9 x 6) of the products of ``a = (x, y, -z)`` with itself and with the residual r.
 
-    The products are those of `calibration.engine.geometry.lenses.charts.Placed.products`.
+    The products are those of `calibration.engine.geometry.lenses.model.Placed.products`.
     """
     products = found.placed.products(found.slopes, found.residuals)
     _, v, K = products.shape

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import transform
+from calibration.engine.statistics import median
 
 _VIEWS_PER_CHUNK = 128  # views at a time, so that the temporaries of a pass stay in the cache
 _MIN_EIGENVALUE_RATIO = 1e-7  # ratio of the eigenvalues of a 2x2 moment matrix below which it counts as singular

@@ -1,7 +1,7 @@
 """Start of a calibration: from a dataset to a problem with an initial guess.
 
 - ``build``: the problem of a dataset; ``guesses``: the dataset's guess, the matrix's noise, the cost of transforms;
-- ``single_views``, ``sights``, ``plane_alignment``, ``robot_world``, ``linear_start``: a guess from the labels alone;
-- ``turned_boards``, ``flipped_patterns``: views with several readings; ``wrong_views``: those that contradict the rest;
+- ``single_views``, ``linear_solvers``, ``linear_start``: a guess from the labels alone;
+- ``ambiguous_views``: views with two readings; ``wrong_views``: those that contradict the rest;
 - ``lens_choice``: the lens models of cameras without intrinsics.
 """

@@ -14,15 +14,13 @@ import numpy as np
 from calibration.base import solvable
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import Dataset, Edge
-from calibration.engine.estimation.least_squares.minimisation import Termination, minimise, settle
+from calibration.engine.estimation.least_squares.minimisation import HUBER_THRESHOLD, Termination, minimise, settle
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
-from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.problem.blocks import Values
-from calibration.engine.estimation.problem.usable_labels import usable_labels
-from calibration.engine.estimation.start.build import Setup, build, build_with
-from calibration.engine.estimation.start.flipped_patterns import unflipped
+from calibration.engine.estimation.start.ambiguous_views import unflipped
+from calibration.engine.estimation.start.build import Setup, build, build_with, usable_labels
 from calibration.engine.estimation.start.linear_start import (
     LinearStart,
     linear_start,

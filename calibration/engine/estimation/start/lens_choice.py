@@ -17,20 +17,19 @@ from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import CornerLabels, Dataset
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.estimation.least_squares.minimisation import Termination
+from calibration.engine.estimation.least_squares.minimisation import HUBER_THRESHOLD, Termination, optimise
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
-from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD, optimise
 from calibration.engine.estimation.options import LensModel, Options
 from calibration.engine.estimation.problem.blocks import Block, FreeIntrinsics, Values
 from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.planar_pose import determines_pose
 from calibration.engine.estimation.residuals.views import Chain, Link, ViewGroup, robust
-from calibration.engine.estimation.start.flipped_patterns import unflipped
+from calibration.engine.estimation.start.ambiguous_views import unflipped
 from calibration.engine.estimation.start.single_views import corner_term, refined_poses
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS, Distortion, PlumbBob, Rational
-from calibration.engine.geometry.lenses.charts import IN_FRONT
+from calibration.engine.geometry.lenses.model import IN_FRONT
 
 SIMPLEST_FIRST: tuple[type[Distortion], ...] = tuple(MODELS.values())
 """Models in the order in which they are preferred, if they fit as well as each other."""

@@ -6,8 +6,8 @@ depth camera the pattern's plane, every view of a 2D LiDAR a scan line in that p
 
 - one unknown: ``X = A^-1 T_sensor_pattern B^-1`` in each view, averaged (`planar_pose.mean_pose`);
 - two unknowns, such as a camera's mount and a pattern on an arm: a robot-world problem ``A_i = X B_i Y``
-  (`robot_world`, by M. Shah, 2013);
-- planes or scan lines, with the pattern's pose known: `plane_alignment`, `scan_alignment`.
+  (`linear_solvers.solve_robot_world`, by M. Shah, 2013);
+- planes or scan lines, with the pattern's pose known: `linear_solvers.align_planes`, `align_scans`.
 
 Two sensors with a common view of an unknown moving pattern P are equivalent to one that sees the other: from
 ``T1 = U1 P`` and ``T2 = U2 P`` follows ``T2 = U2 inverse(U1) T1``.
@@ -30,9 +30,15 @@ from calibration.engine.estimation.residuals.planar_pose import mean_pose
 from calibration.engine.estimation.residuals.ray_residuals import RangeTerm
 from calibration.engine.estimation.residuals.views import Link
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.plane_alignment import align_planes, align_scans, fit_planes, scan_equations
-from calibration.engine.estimation.start.robot_world import RobotWorld, solve_robot_world_robustly
-from calibration.engine.estimation.start.sights import Sight
+from calibration.engine.estimation.start.linear_solvers import (
+    RobotWorld,
+    align_planes,
+    align_scans,
+    fit_planes,
+    scan_equations,
+    solve_robot_world_robustly,
+)
+from calibration.engine.estimation.start.single_views import Sight
 from calibration.engine.geometry.transforms import inverse
 
 MIN_TRAVEL = 1e-3

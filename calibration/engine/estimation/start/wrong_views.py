@@ -23,9 +23,14 @@ from calibration.engine.dataset.modalities import NoiseKind
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.estimation.covariance.fixed_inputs import ARM_ACCURACY, STILL_TOLERANCE
 from calibration.engine.estimation.covariance.result import DroppedView
-from calibration.engine.estimation.least_squares.minimisation import Termination, choose, minimise, settle
+from calibration.engine.estimation.least_squares.minimisation import (
+    HUBER_THRESHOLD,
+    Termination,
+    choose,
+    minimise,
+    settle,
+)
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
-from calibration.engine.estimation.least_squares.optimisation import HUBER_THRESHOLD
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.engine.estimation.problem.blocks import Pose, Values
 from calibration.engine.estimation.problem.fixing import with_gauge_fixed
@@ -33,14 +38,14 @@ from calibration.engine.estimation.problem.problem import Problem
 from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.estimation.residuals.pose_residuals import PoseTerm
 from calibration.engine.estimation.residuals.ray_residuals import RangeTerm
-from calibration.engine.estimation.residuals.statistics import median
 from calibration.engine.estimation.residuals.views import Term, ViewGroup
+from calibration.engine.estimation.start.ambiguous_views import unflipped
 from calibration.engine.estimation.start.build import Setup
-from calibration.engine.estimation.start.flipped_patterns import unflipped
+from calibration.engine.estimation.start.linear_solvers import fit_planes
 from calibration.engine.estimation.start.linear_start import linear_start, local_poses
-from calibration.engine.estimation.start.plane_alignment import fit_planes
 from calibration.engine.estimation.start.single_views import robust_poses
 from calibration.engine.geometry.transforms import distance
+from calibration.engine.statistics import median
 
 MIN_NOTICEABLE_RESIDUAL: dict[NoiseKind, float] = {
     "pixel": 1.0,

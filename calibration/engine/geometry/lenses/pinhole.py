@@ -11,8 +11,15 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.engine.geometry.lenses.charts import IN_FRONT, Chart
-from calibration.engine.geometry.lenses.model import LAST_STEP, Distorted, Distortion, KalibrName, symmetric
+from calibration.engine.geometry.lenses.model import (
+    IN_FRONT,
+    LAST_STEP,
+    Chart,
+    Distorted,
+    Distortion,
+    KalibrName,
+    symmetric,
+)
 
 
 @dataclass(frozen=True)

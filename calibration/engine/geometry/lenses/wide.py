@@ -1,7 +1,7 @@
 """Lenses that may see more than a half of the world: fisheye lenses, and a sphere seen from a point beside its centre.
 
 A ray at the angle t from the optical axis is projected to the radius ``r(t)``. With coordinates of the length t
-(`charts.AllAround`) a point (x, y) goes to ``(x, y) r(t) / t``, and of this factor ``s``
+(`model.AllAround`) a point (x, y) goes to ``(x, y) r(t) / t``, and of this factor ``s``
 the derivatives are ``s I + (s'(t) / t) (x, y) (x, y)^T``.
 """
 
@@ -14,8 +14,15 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray
-from calibration.engine.geometry.lenses.charts import ALL_AROUND, Chart
-from calibration.engine.geometry.lenses.model import LAST_STEP, Distorted, Distortion, KalibrName, symmetric
+from calibration.engine.geometry.lenses.model import (
+    ALL_AROUND,
+    LAST_STEP,
+    Chart,
+    Distorted,
+    Distortion,
+    KalibrName,
+    symmetric,
+)
 from calibration.engine.geometry.lenses.pinhole import PlumbBob
 
 MAX_SERIES = 1e-2

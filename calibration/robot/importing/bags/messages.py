@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from calibration import MAX_IMAGE_PIXELS
 from calibration.base import InputError
 from calibration.base.arrays import Array
-from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, decode_png
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.edges import MAX_FRAME_DISTANCE_M, QUATERNION_TOLERANCE
 from calibration.engine.dataset.model import Edge
+from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN, decode_png
 from calibration.engine.dataset.sensors import MAX_PIXELS as LONGEST_SIDE
 from calibration.engine.dataset.sensors import check_principal_point, read_camera
 from calibration.engine.geometry import rotations
@@ -110,7 +110,7 @@ def image_of(message: Any, where: str) -> Image:
 
 
 def depth_of(message: Any, where: str) -> DepthImage:
-    """Convert a depth Image to (H, W) in tenths of a millimetre, as in `calibration.engine.dataset.depth_image`.
+    """Convert a depth Image to (H, W) in tenths of a millimetre, as in `calibration.engine.dataset.sensor_data`.
 
     Raises:
         InputError: its encoding is not one of depth images, or its data are truncated.

@@ -16,12 +16,17 @@ import numpy as np
 from calibration.base import InputError, write_atomically
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import Configuration
-from calibration.engine.dataset.depth_image import read_depth_image
 from calibration.engine.dataset.document import Node
 from calibration.engine.dataset.modalities import DEPTH, LIDAR2D, LIDAR3D
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.dataset.pointcloud import decode_message, read_points, read_scan, write_points
+from calibration.engine.dataset.sensor_data import (
+    decode_message,
+    read_depth_image,
+    read_points,
+    read_scan,
+    write_points,
+)
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
 from calibration.engine.geometry.transforms import inverse

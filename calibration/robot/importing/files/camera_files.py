@@ -12,8 +12,7 @@ from calibration.base import InputError
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import Configuration
 from calibration.engine.dataset.document import Node
-from calibration.engine.dataset.lens_uncertainty import LensUncertainty
-from calibration.engine.dataset.model import Edge
+from calibration.engine.dataset.model import Edge, LensUncertainty
 from calibration.engine.dataset.sensors import MAX_INTRINSIC, MAX_PIXELS, read_camera
 from calibration.engine.estimation.problem.intrinsics import read_calibrated
 from calibration.engine.geometry import rotations

@@ -14,13 +14,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from calibration.base import InfrastructureError, InputError, link_or_copy, temporary_folder, write_atomically
-from calibration.engine.dataset import truth
 from calibration.engine.dataset.configuration import SensorConfiguration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import pattern_document
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.sensors import camera_document
 from calibration.engine.dataset.writing import write_document
+from calibration.engine.evaluation.truth import TRUTH_FILE
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.robot.simulation.collection.record import (
@@ -170,7 +170,7 @@ def write_dataset(new: Path, play: Play, kept: Sequence[Record], files: Path) ->
             if name and (files / name).exists():
                 link_or_copy(files / name, new / name)
     write_document(motion_document(play.motion), new / MOTION_FILE)
-    write_document(truth_document(play, kept), new / truth.FILE_NAME)
+    write_document(truth_document(play, kept), new / TRUTH_FILE)
     write_document(dataset_document(play.system, kept), new / FILE_NAME)
 
 

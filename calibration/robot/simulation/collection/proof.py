@@ -9,17 +9,15 @@ import numpy as np
 
 from calibration.base import CalibrationError
 from calibration.base.records import field, result
-from calibration.engine.baseline.comparison import MOST_FREEDOM, squared_mahalanobis
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, choose_truth
 from calibration.engine.diagnosis.check_data import check_data
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
-from calibration.engine.estimation.residuals.statistics import score_of_f
-from calibration.engine.evaluation.truth import TruthError, truth_error, with_true_values
+from calibration.engine.evaluation.truth import Truth, TruthError, choose_truth, truth_error, with_true_values
 from calibration.engine.geometry.transforms import local
+from calibration.engine.statistics import MOST_FREEDOM, score_of_f, squared_mahalanobis
 
 
 @result

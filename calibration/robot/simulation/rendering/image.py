@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.lenses.charts import IN_FRONT
+from calibration.engine.geometry.lenses.model import IN_FRONT
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, Background, background, in_steps
 from calibration.robot.simulation.rendering.rays import SAMPLES_PER_PIXEL, rays, rounded, sample_rays

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.lenses.charts import IN_FRONT
+from calibration.engine.geometry.lenses.model import IN_FRONT
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.simulation.scene import GROUND_SURFACE, Box, Scene, between_faces
 

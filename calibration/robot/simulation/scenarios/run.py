@@ -6,10 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.base import InputError, temporary_folder
-from calibration.engine.dataset import truth
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
+from calibration.engine.evaluation.truth import TRUTH_FILE
 from calibration.robot.simulation.collection.capture import Requirements
 from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
 from calibration.robot.simulation.collection.proof import Proof, prove
@@ -146,7 +146,7 @@ def _collect_every_pose(played: Play, requirements: Requirements, folder: Path) 
         for name, content in files.items():
             (folder / name).write_bytes(content)
     if kept(records):
-        write_document(truth_document(played, kept(records)), folder / truth.FILE_NAME)
+        write_document(truth_document(played, kept(records)), folder / TRUTH_FILE)
         write_document(dataset_document(played.system, kept(records)), folder / FILE_NAME)
     return records
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.optional import optional
-from calibration.engine.estimation.residuals.statistics import FAMILY_WISE
+from calibration.engine.statistics import FAMILY_WISE
 from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 

@@ -26,7 +26,7 @@ from calibration.engine.dataset.pattern import UNMARKED_KINDS, Pattern, grid, st
 from calibration.engine.estimation.options import LensModel
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
-from calibration.engine.geometry.lenses.charts import IN_FRONT
+from calibration.engine.geometry.lenses.model import IN_FRONT
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector, Image

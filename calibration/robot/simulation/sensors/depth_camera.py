@@ -11,10 +11,10 @@ from calibration.base import InputError
 from calibration.base.arrays import Array, BoolArray
 from calibration.base.records import between, field, record
 from calibration.engine.dataset.configuration import PatternConfiguration
-from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.dataset.modalities import DEPTH, Modality, NoiseKind
 from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.pattern import Pattern
+from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN, read_depth_image
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.labelling.depth import away_from_edge, label_depth

@@ -17,9 +17,9 @@ from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.modalities import LIDAR2D, LIDAR3D, Modality, NoiseKind
 from calibration.engine.dataset.model import PointLabels
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.dataset.pointcloud import encode_pcd, read_points
-from calibration.engine.estimation.residuals.statistics import median
+from calibration.engine.dataset.sensor_data import encode_pcd, read_points
 from calibration.engine.geometry.transforms import apply, inverse
+from calibration.engine.statistics import median
 from calibration.robot.labelling.detection import Image
 from calibration.robot.labelling.points import label_points
 from calibration.robot.labelling.scan_line import label_scan_line, scan_line_ends

@@ -12,7 +12,7 @@ from calibration.engine.diagnosis.conventions.rotation_readings import (
     Reading,
     rereadings,
 )
-from calibration.engine.estimation.start.turned_boards import rotations_that_agree
+from calibration.engine.estimation.start.ambiguous_views import rotations_that_agree
 from calibration.engine.geometry import rotations
 
 BY_NAME = {each.name: each for each in THREE_NUMBER_READINGS}

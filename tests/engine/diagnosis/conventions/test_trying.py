@@ -24,7 +24,7 @@ from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.options import Options
-from calibration.engine.estimation.start.turned_boards import with_turned
+from calibration.engine.estimation.start.ambiguous_views import with_turned
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import inverse, transform, translation

@@ -6,7 +6,7 @@ import pytest
 
 from calibration.base import InfrastructureError, InputError
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import find_truth
+from calibration.engine.evaluation.truth import find_truth
 from calibration.robot.simulation.collection import dataset_folder
 from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
 from calibration.robot.simulation.collection.record import Record

@@ -8,10 +8,9 @@ import pytest
 
 from calibration.base import UndeterminedError
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import find_truth, truth_of
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.evaluation.truth import truth_error
+from calibration.engine.evaluation.truth import find_truth, truth_error, truth_of
 from calibration.engine.geometry.transforms import distance
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest

@@ -3,7 +3,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.engine.dataset.depth_image import DEPTH_UNIT_M, NO_RETURN
+from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.robot.simulation.random_streams import stream

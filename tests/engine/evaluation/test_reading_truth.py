@@ -5,7 +5,7 @@ import pytest
 
 from calibration.base import ExitCode, InputError
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.dataset.truth import Truth, find_truth, read_truth, truth_of
+from calibration.engine.evaluation.truth import Truth, find_truth, read_truth, truth_of
 from calibration.engine.geometry.transforms import from_quaternion
 from tests.engine.dataset import documents
 from tests.engine.dataset.documents import MISSING, changed, edge

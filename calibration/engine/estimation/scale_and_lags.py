@@ -1,26 +1,34 @@
-"""Unknown scale of measured poses, as a camera alone gives them: their translations are too long by a common factor.
+"""Free scale of measured poses and free lags of sensors, each found by Newton steps beside all that is calibrated.
 
-At the optimum for one factor, one Newton step in it beside all that is calibrated leads to the next::
+A camera alone gives poses up to scale: their translations are too long by a common factor. At the optimum for one
+factor, one Newton step in it beside all that is calibrated leads to the next::
 
     step = -(B^T r) / (B^T B - B^T A (A^T A)^-1 A^T B)
 
 With the rotations, which no factor changes, the rest is linear in the factor and the translations; a wrong factor makes
-residuals of translations large, so that their estimated noise leaves the rotations to the rotations. The factor's own
-uncertainty is in the error bars (`calibration.engine.estimation.covariance.error_bars`).
+residuals of translations large, so that their estimated noise leaves the rotations to the rotations.
+
+The lag of a sensor is the time from a collection's transforms to what it saw. At the optimum for given lags, one Newton
+step in all free ones beside all that is calibrated leads to the next. The transforms that a sensor saw are those of the
+dataset, moved by their velocities for its lag (`Dataset.moved_by_lag`), so that a step is nearly exact.
+
+The own uncertainty of both is in the error bars (`calibration.engine.estimation.covariance.error_bars`).
 """
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from calibration.base import UndeterminedError
+from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.model import Dataset, Labels, PoseLabels
+from calibration.engine.dataset.sensors import MAX_LAG
+from calibration.engine.estimation.at_optimum import from_linear_start
 from calibration.engine.estimation.covariance.calibrated import calibrated_dataset
-from calibration.engine.estimation.covariance.fixed_inputs import SCALE_KIND
+from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND, SCALE_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.covariance.suspects import MIN_INFORMATION_LEFT
-from calibration.engine.estimation.from_linear_start import from_linear_start
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.options import ALL_EXACT, Options
 from calibration.engine.estimation.problem.blocks import Values
@@ -139,3 +147,83 @@ def _undetermined_scale(dataset: Dataset) -> UndeterminedError:
         f"{dataset.path}: the poses do not determine their scale (scale: free); the arm must carry the sensor or the "
         f"pattern along, not turn it alone"
     )
+
+
+MAX_LAG_STEP_IF_FOUND = 1e-7
+"""s: step after which the lags are found."""
+MAX_LAG_STEPS = 15
+MAX_LAG_STEP = 0.1
+"""s: limit of one step."""
+MAX_LAG_SIGMA = 0.05
+"""s: limit of the standard deviation of a lag that is determined; frames that stand still leave a larger one."""
+
+
+def with_lags(dataset: Dataset, free: Sequence[str], calibrated: Callable[[Dataset], Calibration]) -> Dataset:
+    """Return the dataset with the lags of some sensors as its labels tell.
+
+    Args:
+        dataset: the dataset.
+        free: the sensors.
+        calibrated: calibrates a dataset with the lags that it has.
+
+    Raises:
+        InputError: a sensor is unknown.
+        UndeterminedError: the labels do not determine a lag.
+    """
+    for name in free:
+        if name not in dataset.sensors:
+            raise InputError(f"{dataset.path}: lag: found sensor '{name}', expected of {', '.join(dataset.sensors)}")
+    if not dataset.velocities:
+        raise UndeterminedError(
+            f"{dataset.path}: the dataset has no velocities, which a lag is told by (lag): import it from a bag of "
+            f"a robot that moves while its sensors look (import.yml: bags: every), or leave 'lag' out"
+        )
+    for _ in range(MAX_LAG_STEPS):
+        steps = _newton_steps(calibrated(dataset).solution.model, free, dataset)
+        lags = {name: dataset.sensors[name].lag + step for name, step in steps.items()}
+        if far := next((name for name, lag in lags.items() if abs(lag) > MAX_LAG), None):
+            raise UndeterminedError(
+                f"{dataset.path}: the lag of '{far}' comes out beyond {MAX_LAG:g} s (lag): are the velocities, and the "
+                f"order of the images, those of this recording?"
+            )
+        dataset = dataset.with_lags(lags)
+        if max(map(abs, steps.values())) < MAX_LAG_STEP_IF_FOUND:
+            return dataset
+    raise UndeterminedError(f"{dataset.path}: the lags were not found in {MAX_LAG_STEPS} steps (lag): leave it out")
+
+
+def _newton_steps(model: LinearModel, free: Sequence[str], dataset: Dataset) -> Mapping[str, float]:
+    """Return the Newton step of each free lag, s."""
+    places = {cause.subject: at.start for cause, at in model.placed(LAG_KIND)}
+    if standing := next((name for name in free if name not in places), None):
+        raise _undetermined_lag(dataset, standing)
+    own = [places[name] for name in free]
+    left, gradient = model.beside_shared(own)
+    scale = 1 / np.sqrt(model.alone[own])
+    values, vectors = np.linalg.eigh(scale[:, None] * left * scale)
+    if values[0] <= MIN_INFORMATION_LEFT:
+        raise _undetermined_lag(dataset, free[int(np.abs(vectors[:, 0]).argmax())])
+    covariance = np.linalg.inv(left)
+    sigmas = np.sqrt(np.diagonal(covariance))
+    if sigmas.max() > MAX_LAG_SIGMA:
+        raise _undetermined_lag(dataset, free[int(sigmas.argmax())])
+    return dict(zip(free, np.clip(-covariance @ gradient, -MAX_LAG_STEP, MAX_LAG_STEP).tolist(), strict=True))
+
+
+def _undetermined_lag(dataset: Dataset, sensor: str) -> UndeterminedError:
+    others = [name for name in dataset.sensors if name != sensor]
+    one = f", or leave '{others[0]}' the clock: lag: [{sensor}]" if others else ""
+    return UndeterminedError(
+        f"{dataset.path}: the labels do not determine the lag of '{sensor}' (lag): collect while the robot or the "
+        f"pattern moves, in several directions{one}; or leave it out"
+    )
+
+
+def with_scale_and_lags(dataset: Dataset, options: Options) -> Dataset:
+    """Return the dataset with the scale of its measured poses and the lags of its sensors, where they are free."""
+    if options.scale == "free":
+        dataset, _ = with_free_scale(dataset, options)
+    if not (free := options.free_lags_of(dataset)):
+        return dataset
+    known = replace(options, lag=())  # lags that cannot be told beside each other would have no error bars
+    return with_lags(dataset, free, lambda each: from_linear_start(each, *problem_and_start(each, known), known))

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.engine.estimation.residuals.statistics import (
+from calibration.engine.statistics import (
     FAMILY_WISE,
     MIN_NUMBERS_TO_NARROW,
     median,

@@ -13,12 +13,11 @@ from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
-from calibration.engine.next_pose.advice import PoseAdvisor, next_poses, pose_advisor
-from calibration.engine.next_pose.knowledge import knowledge_of
+from calibration.engine.next_pose import PoseAdvisor, knowledge_of, next_poses, pose_advisor
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.task_errors import task_errors
 
-DATASETS = Path(__file__).resolve().parents[3] / "datasets"
+DATASETS = Path(__file__).resolve().parents[2] / "datasets"
 SYSTEMS = ("t2rgb", "riwbot", "rlbot", "softbot", "spjbot")
 FIRST = 6
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.engine.tasks.gaussian_norm import probability_beyond, quantile_of_norm, size_without_error
+from calibration.engine.statistics import probability_beyond, quantile_of_norm, size_without_error
 
 
 @pytest.mark.parametrize(
