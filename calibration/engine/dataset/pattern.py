@@ -4,36 +4,34 @@ The pattern frame: x along a row of corners, y along a column, z into the board 
 that sees it), all corners at z = 0. Metres.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
-from operator import itemgetter
 from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
 from calibration.base.records import between, field, record
-from calibration.engine.dataset.document import Node, NotNumbersError, finite
+from calibration.engine.dataset.document import Node, finite_numbers
 
 CORNER_KEYS = ("id", "x", "y")
 
 
-def read_corners(lists: Iterable[Node]) -> tuple[Array, Array]:
-    """Return the ids (K,), not yet checked to be integers, and coordinates (K, 2) of all lists, concatenated.
+def read_corners(node: Node) -> tuple[Array, Array]:
+    """Return the ids (K,), not yet checked to be integers, and coordinates (K, 2) of a list.
 
     Raises:
         InputError: a key is missing, or a value is not a finite number.
     """
-    nodes = list(lists)
-    corners = list(chain.from_iterable(node.sequence() for node in nodes))
     try:
-        columns = finite(list(chain.from_iterable(map(itemgetter(key), corners) for key in CORNER_KEYS))).reshape(3, -1)
-    except (NotNumbersError, KeyError, TypeError):  # check one by one, to report the first invalid one
-        elements = chain.from_iterable(node.elements() for node in nodes)
-        columns = np.array([[element[key].number() for key in CORNER_KEYS] for element in elements]).T
-    return columns[0], np.ascontiguousarray(columns[1:].T)
+        found = finite_numbers([corner[key] for corner in node.sequence() for key in CORNER_KEYS])
+    except (KeyError, TypeError):
+        found = None
+    if found is None:  # one by one, to report the first invalid one
+        found = np.array([element[key].number() for element in node.elements() for key in CORNER_KEYS])
+    rows = found.reshape(-1, 3)
+    return rows[:, 0], np.ascontiguousarray(rows[:, 1:])
 
 
 MIN_SIZE, MAX_SIZE = 1e-6, 1e3
@@ -214,7 +212,7 @@ def _bounded_coordinate(node: Node) -> float:
 
 def _corners_by_id(node: Node) -> Array:
     """Parse corners (K, 3) by id; the ids must be 0 to K - 1, in any order."""
-    ids, places = read_corners([node])
+    ids, places = read_corners(node)
     order = np.argsort(ids, kind="stable")
     if not np.array_equal(ids[order], np.arange(len(ids))):
         raise node.fault(f"found other ids than 0 to {len(ids) - 1}, each once, for the {len(ids)} corners")

@@ -24,7 +24,7 @@ import numpy as np
 
 from calibration.base import InputError
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.dataset.document import Node, NotNumbersError, finite, read_json
+from calibration.engine.dataset.document import Node, read_json
 from calibration.engine.dataset.model import Dataset, PointLabels, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.evaluation.table import COLLECTION_HEADER, COLLECTION_PAIR, Table
@@ -172,10 +172,7 @@ def _segments_of_side(side: Node) -> Array:
     """Return the segments of a polyline; none for fewer than two points."""
     xs, ys = ("ixs", "iys") if side.get("ixs") is not None else ("xs", "ys")
     count = len(side[xs].sequence())
-    try:
-        points = np.stack([finite(side[axis].sequence()) for axis in (xs, ys)], 1)
-    except (NotNumbersError, ValueError):  # one by one, so that the error names the wrong one
-        points = np.array([side[axis].numbers(count) for axis in (xs, ys)], float).T
+    points = np.array([side[axis].numbers(count) for axis in (xs, ys)], float).T
     return np.stack([points[:-1], points[1:]], 1)
 
 
