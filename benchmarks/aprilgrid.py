@@ -24,7 +24,7 @@ from calibration.engine.geometry.transforms import apply, from_xyz_rpy, transfor
 from calibration.robot.labelling.board_image import shortest
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board, Box, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 

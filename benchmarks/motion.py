@@ -9,10 +9,10 @@ from benchmarks.rows import Bar, Row
 from benchmarks.shared_data import ROOT
 from benchmarks.timing import interleaved
 from calibration.base.arrays import IntArray
-from calibration.robot.simulation.motion.generation import Candidates, find_candidates, generate_motion
-from calibration.robot.simulation.motion.information import predicted_sigmas
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import Motion
+from calibration.robot.simulation.motion_generation import Candidates, find_candidates, generate_motion
+from calibration.robot.simulation.motion_information import predicted_sigmas
 from calibration.robot.simulation.system import System, read_system
 
 POSES = 26

@@ -28,11 +28,11 @@ from calibration.engine.next_pose import Goal, Knowledge, PoseAdvisor, knowledge
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.task_errors import task_errors
 from calibration.robot.next_pose.candidates import candidates_of
-from calibration.robot.next_pose.instructions import motion_of
-from calibration.robot.simulation.motion.generation import find_candidates
-from calibration.robot.simulation.motion.information import expected_dataset
-from calibration.robot.simulation.motion.sequence import Motion, joined, moving_model
-from calibration.robot.simulation.placement import place
+from calibration.robot.next_pose.plan import motion_of
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import Motion, joined, moving_model
+from calibration.robot.simulation.motion_generation import find_candidates
+from calibration.robot.simulation.motion_information import expected_dataset
 from calibration.robot.simulation.system import System, read_system
 
 SYSTEMS_FOLDER = Path(__file__).parents[1] / "datasets"

@@ -22,7 +22,7 @@ from calibration.ci.execution.tasks import Embedded
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board
 from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 

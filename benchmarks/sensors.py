@@ -18,7 +18,7 @@ from benchmarks.process import ENVIRONMENT
 from benchmarks.room import PATTERN, ROOM, SMALL, T_WORLD_CAMERA, poses
 from benchmarks.shared_data import ROOT
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board
 from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedLidar
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.sequence import motion_document
+from calibration.robot.simulation.motion import motion_document
+from calibration.robot.simulation.motion_generation import generate_motion
 from calibration.robot.simulation.system import read_system
 
 T2RGB = Path(__file__).resolve().parents[1] / "datasets" / "t2rgb"

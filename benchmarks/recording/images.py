@@ -15,7 +15,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.rendering.image import radiance
 from calibration.robot.simulation.scene import Board
 from calibration.robot.simulation.sensors import SimulatedCamera

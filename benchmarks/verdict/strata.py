@@ -23,16 +23,15 @@ from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import retract
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.system import System as Entry
-from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
-from calibration.robot.simulation.collection.record import collect_pose, kept
-from calibration.robot.simulation.motion.generation import find_candidates, generate_motion
-from calibration.robot.simulation.motion.information import expected_dataset
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import place, play
-from calibration.robot.simulation.scenarios.scenario import Scenario
+from calibration.robot.simulation.capture import Requirements
+from calibration.robot.simulation.dataset_folder import dataset_document, truth_document
+from calibration.robot.simulation.kinematics import place, play
+from calibration.robot.simulation.motion import Motion
+from calibration.robot.simulation.motion_generation import find_candidates, generate_motion
+from calibration.robot.simulation.motion_information import expected_dataset
+from calibration.robot.simulation.record import collect_pose, kept
+from calibration.robot.simulation.scenarios.scenario import Scenario, build_world, scenario_motion
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
-from calibration.robot.simulation.scenarios.world import build_world, scenario_motion
 from calibration.robot.simulation.system import System, read_system
 
 Stratum = Literal["exact", "rendered", "good"]

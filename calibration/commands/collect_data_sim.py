@@ -43,8 +43,8 @@ from calibration.pipeline.collection.scenarios import ScenarioFolder
 from calibration.pipeline.repetition.repetition import Repetition, Repetitions, repetition_of_collection
 from calibration.pipeline.repetition.running import repeated, run_of_repetition
 from calibration.pipeline.results import PAGE_FILE
-from calibration.robot.simulation.collection.record import Record
-from calibration.robot.simulation.motion.sequence import Motion
+from calibration.robot.simulation.motion import Motion
+from calibration.robot.simulation.record import Record
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult, parse_id
 from calibration.robot.simulation.system import System
 

@@ -36,7 +36,7 @@ SHIPPED_SCHEMAS = {
         _COLLECTION_PACKAGE, "collection.schema.json", "results:CollectionDocument", "collect-data-sim"
     ),
     "simulation.yml": SchemaFile("calibration.robot.simulation", "simulation.schema.json", "system:Simulation"),
-    "motion": SchemaFile("calibration.robot.simulation.motion", "motion.schema.json", "sequence:MotionFile"),
+    "motion": SchemaFile("calibration.robot.simulation", "motion.schema.json", "motion:MotionFile"),
     "import.yml": SchemaFile("calibration.robot.importing", "import.schema.json", "description:ImportDescription"),
     "import-results": SchemaFile("calibration.robot.importing", _RESULTS_FILE, "results:ImportResults", "import-data"),
     "look-results": SchemaFile("calibration.robot.importing", "look.schema.json", "results:LookResults", "look"),

@@ -19,11 +19,10 @@ from calibration.pipeline.matrix.described_robot import described_robot
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.next_poses_result import NextGoal, NextPose, NextPoses, NextView
 from calibration.robot.next_pose.candidates import PoseCandidates, candidates_of
-from calibration.robot.next_pose.instructions import instruction, motion_of, patterns_in_view, poses_csv
-from calibration.robot.next_pose.plan import plan_recording
-from calibration.robot.simulation.motion.generation import is_clear
-from calibration.robot.simulation.motion.sequence import motion_document
-from calibration.robot.simulation.placement import place
+from calibration.robot.next_pose.plan import instruction, motion_of, patterns_in_view, plan_recording, poses_csv
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import motion_document
+from calibration.robot.simulation.motion_generation import is_clear
 from calibration.robot.simulation.system import SIMULATION_FILE, System, read_system
 
 MOTION_FILE, POSES_FILE = "next-poses.json", "next-poses.csv"

@@ -40,7 +40,7 @@ from calibration.robot.importing.importing import (
 from calibration.robot.importing.look.judging import ImageJudge, JudgedImage
 from calibration.robot.importing.recorded import LEAST_VIEWS, imported_moments
 from calibration.robot.next_pose.candidates import candidates_of
-from calibration.robot.simulation.collection.dataset_folder import refuse_existing
+from calibration.robot.simulation.dataset_folder import refuse_existing
 
 TITLE, DESCRIPTION_FILE, PAGE = "watch", "import.yml", "watch.html"
 POLL_SECONDS = 0.1

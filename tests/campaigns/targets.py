@@ -55,7 +55,7 @@ from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.image_views import read_image
 from calibration.robot.importing.importing import import_data, read_description
 from calibration.robot.importing.videos import decoded_frames
-from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.motion import read_motion
 from calibration.robot.simulation.scenarios.scenario_set import read_scenario_set
 from calibration.robot.simulation.system import System, read_system
 from calibration.robot.urdf import parse_robot, read_robot

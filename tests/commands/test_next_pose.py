@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.motion import read_motion
 
 T2RGB = Path(__file__).resolve().parents[2] / "datasets" / "t2rgb"
 

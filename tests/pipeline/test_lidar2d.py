@@ -20,10 +20,9 @@ from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.robot.simulation.motion.information import expected_dataset, expected_noise
-from calibration.robot.simulation.motion.sequence import read_motion
-from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import place, stream
+from calibration.robot.simulation.motion import read_motion
+from calibration.robot.simulation.motion_information import expected_dataset, expected_noise
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors import SimulatedLidar2d
 from calibration.robot.simulation.system import System, read_system

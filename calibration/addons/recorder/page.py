@@ -25,8 +25,8 @@ from calibration.base import CalibrationError, InputError, count_of, temporary_f
 from calibration.base.arrays import Array
 from calibration.engine.geometry.transforms import from_quaternion
 from calibration.robot.labelling.detection import Image
-from calibration.robot.simulation.motion.sequence import Motion, read_motion
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import Motion, read_motion
 
 Item = TypeVar("Item")
 

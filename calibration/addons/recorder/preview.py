@@ -14,9 +14,9 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.sensor_data import NO_RETURN
 from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.points import PatternPoints
-from calibration.robot.simulation.collection.capture import Capture, Requirements, capture, reasons_to_lose
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import play
+from calibration.robot.simulation.capture import Capture, Requirements, capture, reasons_to_lose
+from calibration.robot.simulation.kinematics import play
+from calibration.robot.simulation.motion import Motion
 from calibration.robot.simulation.sensors.sensor import Found
 from calibration.robot.simulation.system import System
 

@@ -33,8 +33,8 @@ from calibration.addons.recorder.record_motion import RecorderSettings
 from calibration.addons.recorder.session import Session
 from calibration.base import InfrastructureError, InputError, count_of
 from calibration.ci.workflow import Runner, stop_commands
-from calibration.robot.simulation.motion.information import predicted_sigmas
-from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.motion import read_motion
+from calibration.robot.simulation.motion_information import predicted_sigmas
 from calibration.robot.simulation.system import read_system
 
 LOOPBACK_ADDRESS = "127.0.0.1"

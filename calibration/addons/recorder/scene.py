@@ -16,7 +16,7 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.detection import Image
-from calibration.robot.simulation.placement import Placement
+from calibration.robot.simulation.kinematics import Placement
 from calibration.robot.simulation.rendering.texture import PAPER_REFLECTANCE, texture
 from calibration.robot.simulation.system import System
 from calibration.robot.urdf import compose

@@ -17,12 +17,10 @@ import numpy as np
 from calibration.base import InfrastructureError, InputError, read_bytes, write_atomically
 from calibration.base.arrays import Array
 from calibration.engine.geometry.transforms import inverse, translation
-from calibration.robot.simulation.description import MAX_BYTES
-from calibration.robot.simulation.inverse_kinematics import joints_between, reach
-from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.sequence import MAX_POSES, POSE_DECIMALS, Motion, motion_document, moving_model
-from calibration.robot.simulation.placement import Placement, place
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import Placement, joints_between, place, reach, stream
+from calibration.robot.simulation.motion import MAX_POSES, POSE_DECIMALS, Motion, motion_document, moving_model
+from calibration.robot.simulation.motion_generation import generate_motion
+from calibration.robot.simulation.scene import MAX_BYTES
 from calibration.robot.simulation.system import System
 from calibration.robot.urdf import Joint, compose
 

@@ -42,14 +42,12 @@ from calibration.pipeline.collection.request import (
 )
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
-from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
-from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, truth_document
-from calibration.robot.simulation.collection.proof import prove
-from calibration.robot.simulation.collection.record import Record, image_cells
-from calibration.robot.simulation.motion.generation import named_motion
-from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, motion_document
-from calibration.robot.simulation.placement import play
-from calibration.robot.simulation.players import check_motion, player_file
+from calibration.robot.simulation.dataset_folder import replacing_dataset, truth_document
+from calibration.robot.simulation.kinematics import play
+from calibration.robot.simulation.motion import GENERATED_PREFIX, Motion, check_motion, motion_document, player_file
+from calibration.robot.simulation.motion_generation import named_motion
+from calibration.robot.simulation.proof import prove
+from calibration.robot.simulation.record import Record, image_cells, write_contact_sheet
 from calibration.robot.simulation.scenarios.run import finished_result
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult, scenario_id
 from calibration.robot.simulation.system import MOTION_FILE, System, read_system

@@ -30,14 +30,13 @@ from calibration.pipeline.collection.scenarios import (
     read_scenario,
     write_scenario,
 )
-from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.contact_sheet import write_contact_sheet
-from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
-from calibration.robot.simulation.collection.proof import prove
-from calibration.robot.simulation.collection.record import Record, collect, kept
-from calibration.robot.simulation.motion.generation import named_motion
-from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX, Motion, motion_document
-from calibration.robot.simulation.placement import Play, play
+from calibration.robot.simulation.capture import Requirements
+from calibration.robot.simulation.dataset_folder import replacing_dataset, write_dataset
+from calibration.robot.simulation.kinematics import Play, play
+from calibration.robot.simulation.motion import GENERATED_PREFIX, Motion, motion_document
+from calibration.robot.simulation.motion_generation import named_motion
+from calibration.robot.simulation.proof import prove
+from calibration.robot.simulation.record import Record, collect, kept, write_contact_sheet
 from calibration.robot.simulation.scenarios.run import (
     calibrated_result,
     find_driver,

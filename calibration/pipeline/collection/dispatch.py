@@ -8,7 +8,7 @@ from calibration.pipeline.collection.by_simulation import Begin, PoseDone, Simul
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults, ScenarioResults
 from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder, Scenarios, run_in_containers
-from calibration.robot.simulation.collection.dataset_folder import refuse_existing
+from calibration.robot.simulation.dataset_folder import refuse_existing
 from calibration.robot.simulation.scenarios.statistics import Statistics
 
 DRIVERS_SOUGHT = 5

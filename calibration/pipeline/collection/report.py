@@ -12,8 +12,8 @@ from calibration.base.records import value_of
 from calibration.ci.pages.html import Html, bullets, element, figure, join, page, table, verdict_line
 from calibration.ci.report import Lines, Outcome, Report, Table, Text, outcome_of_check
 from calibration.pipeline.collection.results import CollectionDocument, CollectionResults, LostPose, SensorNumbers
-from calibration.robot.simulation.collection.proof import Proof
-from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.proof import Proof
+from calibration.robot.simulation.record import Record
 
 SCHEMA_FILE = Path(__file__).with_name("collection.schema.json")
 COMMAND_NAME = "collect-data-sim"

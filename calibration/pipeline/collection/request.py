@@ -41,7 +41,7 @@ from calibration.ci.execution.job_check import check_job
 from calibration.ci.execution.ros import ROS_HELP, Recording, Ros, with_recorder, with_ros
 from calibration.engine.diagnosis.limits import Limit
 from calibration.pipeline.system import Text, Truth
-from calibration.robot.simulation.motion.sequence import GENERATED_PREFIX
+from calibration.robot.simulation.motion import GENERATED_PREFIX
 
 INPUT_FOLDER = "/calibration/in"
 """Read-only folder in all containers."""

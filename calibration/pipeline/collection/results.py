@@ -11,8 +11,8 @@ from calibration.base.records import field, result
 from calibration.ci.report import Check, Verdict, at_least, at_most, count_of, verdict_of
 from calibration.engine.dataset.modalities import MODALITIES
 from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, ScenarioRequest
-from calibration.robot.simulation.collection.proof import Proof
-from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS, CornerErrors, Record
+from calibration.robot.simulation.proof import Proof
+from calibration.robot.simulation.record import COVERAGE_COLUMNS, COVERAGE_ROWS, CornerErrors, Record
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 from calibration.robot.simulation.scenarios.statistics import Statistics
 

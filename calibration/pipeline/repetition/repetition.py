@@ -22,7 +22,7 @@ from calibration.engine.diagnosis.limits import Limit
 from calibration.engine.geometry.transforms import from_quaternion
 from calibration.pipeline.matrix.cell_result import CellResult, Details
 from calibration.pipeline.results import PAGE_FILE, Collected, PipelineResults
-from calibration.robot.simulation.collection.proof import Proof
+from calibration.robot.simulation.proof import Proof
 
 _SPREAD_KEYS = ("rms-px", "translation-mm", "rotation-deg")
 

@@ -13,7 +13,7 @@ from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.results import Collected
 from calibration.pipeline.stages.running import COLLECTED_FOLDER, PipelineRun
-from calibration.robot.simulation.collection.record import Record
+from calibration.robot.simulation.record import Record
 
 
 def collect_stage(run: PipelineRun) -> PipelineRun:

@@ -25,8 +25,8 @@ from calibration.robot.importing.image_views import LabelledMoment, contact_shee
 from calibration.robot.importing.recorded import check_seen
 from calibration.robot.importing.results import LabelledSensor, LabelResults, RejectedView
 from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
-from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
+from calibration.robot.simulation.dataset_folder import refuse_existing, replacing_dataset
+from calibration.robot.simulation.record import CONTACT_SHEET_FILE as SHEET
 
 OF_CAMERA = ("width", "height", "distortion_model", "D", "K")
 """Keys of a camera_info that say which camera it is."""

@@ -39,7 +39,7 @@ from calibration.engine.dataset.pattern import (
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse
 from calibration.robot.importing.files.samples import Samples
 from calibration.robot.robot_description import XacroInputs
-from calibration.robot.simulation.description import Pose
+from calibration.robot.simulation.scene import Pose
 
 Name = Annotated[str, length(1, 200)]
 Size = Annotated[float, above(0, MAX_SIZE)]

@@ -17,7 +17,7 @@ from calibration.base.records import field, result
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image
-from calibration.robot.simulation.collection.contact_sheet import (
+from calibration.robot.simulation.record import (
     GAP_PX,
     INK_COLOUR,
     PAPER_COLOUR,

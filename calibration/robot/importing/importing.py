@@ -67,8 +67,8 @@ from calibration.robot.importing.videos import extracted_frames, frame_tasks, fr
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
-from calibration.robot.simulation.collection.contact_sheet import CONTACT_SHEET_FILE as SHEET
-from calibration.robot.simulation.collection.dataset_folder import refuse_existing, replacing_dataset
+from calibration.robot.simulation.dataset_folder import refuse_existing, replacing_dataset
+from calibration.robot.simulation.record import CONTACT_SHEET_FILE as SHEET
 
 Done = Callable[[int, int, LabelledMoment | SeenImages], None]
 """Callback after each part: number of finished parts, number of all parts, and the result."""

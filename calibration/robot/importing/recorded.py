@@ -30,7 +30,7 @@ from calibration.robot.importing.near_miss import check_board, check_spacing, ne
 from calibration.robot.importing.results import LeftOut, RejectedView
 from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.points import PatternPoints
-from calibration.robot.simulation.collection.record import image_cells
+from calibration.robot.simulation.record import image_cells
 
 LEAST_VIEWS = 5
 """Minimum of views: fewer views of a plane do not determine the intrinsics."""

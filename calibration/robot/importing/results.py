@@ -10,7 +10,7 @@ from calibration.base.verdict import verdict_of
 from calibration.ci.report import Outcome, Report, Table, count_of
 from calibration.ci.report.blocks import shown
 from calibration.robot.importing.bags.bag import NS_PER_S
-from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS
+from calibration.robot.simulation.record import COVERAGE_COLUMNS, COVERAGE_ROWS
 
 IMPORT_TITLE, LABEL_TITLE = "import-data", "label"
 

@@ -2,6 +2,6 @@
 
 - ``expected_labels``: the labels that the sensors of a recording would have of a pattern elsewhere;
 - ``candidates``: poses within the reach of what has moved in a recording, seen by its sensors;
-- ``instructions``: a pose in words, as joint positions or transforms, and as a motion file;
-- ``plan``: the poses of a recording, before anything is recorded.
+- ``plan``: the poses of a recording before anything is recorded; a pose in words, as joint positions or transforms, and
+  as a motion file.
 """

@@ -20,8 +20,8 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.geometry.frames import JointModel
 from calibration.engine.geometry.transforms import local, retract
 from calibration.robot.next_pose.expected_labels import distances, expected_labels
-from calibration.robot.simulation.inverse_kinematics import joints_between, reach
-from calibration.robot.simulation.motion.generation import draw_poses
+from calibration.robot.simulation.kinematics import joints_between, reach
+from calibration.robot.simulation.motion_generation import draw_poses
 from calibration.robot.simulation.system import MotionRanges
 from calibration.robot.urdf import Robot
 

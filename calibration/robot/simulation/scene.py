@@ -2,21 +2,66 @@
 
 A wall is a thin box. The distance along a ray is in lengths of the ray's direction,
 which need not be 1: with ``direction = target - origin`` a hit below 1 occludes the target.
+
+Also the types of values in the description of a system: vectors, poses, intervals, and angles in degrees.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from calibration.base.arrays import Array, BoolArray, IntArray
-from calibration.base.records import Converted, between, field, record
+from calibration.base.records import Constraint, Converted, between, field, record
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, translation
-from calibration.robot.simulation.description import Radians, Vector, array, listed
+
+MAX_BYTES = 10_000_000
+"""Limit of a file's size: far above that of any robot, system or motion."""
+
+
+def listed(count: int, expected: str, holds: Callable[[Any], bool] = lambda _: True) -> Constraint:
+    """Constraint to lists of this many numbers that meet a condition."""
+    return Constraint(
+        lambda numbers: len(numbers) == count and holds(numbers), expected, {"length": (count, count)}, whole=True
+    )
+
+
+def rising(least: float = -math.inf, most: float = math.inf) -> Constraint:
+    """Constraint to intervals [low, high] within inclusive limits."""
+    limits = f"from {least:g} to {most:g}" if math.isfinite(most) else f"of at least {least:g}"
+    return listed(2, f"two rising numbers {limits}", lambda ends: least <= ends[0] <= ends[1] <= most)
+
+
+def degrees(least: float, most: float) -> Converted:
+    """Angle in degrees in the document and in radians in the record."""
+    return Converted(Annotated[float, between(least, most)], lambda angle, _: math.radians(angle))
+
+
+def array(constraint: Constraint) -> Converted:
+    """List of numbers, as an array."""
+    return Converted(Annotated[tuple[float, ...], constraint], lambda numbers, _: np.array(numbers))
+
+
+Vector = Annotated[tuple[float, float, float], listed(3, "three numbers: x, y, z")]
+Radians = Annotated[tuple[float, float, float], listed(3, "three numbers: roll, pitch, yaw")]
+
+
+@record(case="snake", nulls=True)
+class Pose:
+    """Position and orientation of a frame."""
+
+    xyz: Vector = field("Position, m.", default=(0.0, 0.0, 0.0))
+    rpy: Radians = field("Roll, pitch, yaw, rad.", default=(0.0, 0.0, 0.0))
+
+    @property
+    def transform(self) -> Array:
+        """Return the transform (4, 4)."""
+        return from_xyz_rpy(self.xyz, self.rpy)
+
 
 NO_SURFACE, GROUND_SURFACE = -2, -1
 """Indices of surfaces that are not boxes; boxes count from 0."""
@@ -89,8 +134,7 @@ class Light:
         """Return the light (...) on surfaces with unit normals (..., 3) towards the viewer, by Lambert's law."""
         x, y, z = self.direction / math.hypot(*self.direction)
         towards = normals[..., 0] * x + normals[..., 1] * y + normals[..., 2] * z
-        light: Array = self.ambient + self.intensity * np.maximum(towards, 0.0)
-        return light
+        return np.asarray(self.ambient + self.intensity * np.maximum(towards, 0.0))
 
 
 @record(case="snake", nulls=True, eq=False)
@@ -143,8 +187,7 @@ class Scene:
     def hides(self, origin: Array, points: Array) -> BoolArray:
         """Return a mask (..., K) of the points (..., K, 3) that are occluded from the origins (..., 3)."""
         start = np.asarray(origin, float)[..., None, :]
-        hidden: BoolArray = self.cast(start, points - start) < 1 - 1e-9
-        return hidden
+        return self.cast(start, points - start) < 1 - 1e-9
 
     def contains(self, points: Array, clearance: float = 0.0) -> BoolArray:
         """Return a mask of the points (..., 3) in a box or under the ground, or closer to them than the clearance."""
@@ -174,8 +217,7 @@ def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:
     for axis in range(3):
         first, second = between_faces(box, axis, origins, rays)
         enter, leave = np.maximum(enter, first), np.minimum(leave, second)
-    hit: Array = np.where((enter <= leave) & (leave > 0), np.where(enter > 0, enter, leave), np.inf)
-    return hit
+    return np.where((enter <= leave) & (leave > 0), np.where(enter > 0, enter, leave), np.inf)
 
 
 def between_faces(box: Box, axis: int, origins: Array, rays: Array) -> tuple[Array, Array]:
@@ -280,5 +322,4 @@ class Board:
         low, high = self.limits
         with np.errstate(invalid="ignore", over="ignore"):
             x, y = start[0] + t * directions[0], start[1] + t * directions[1]
-            inside: BoolArray = (t > 0) & (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-            return inside
+            return np.asarray((t > 0) & (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1]))

@@ -23,8 +23,7 @@ from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
 from calibration.robot.robot_description import ENDING, NO_INPUTS, XacroInputs, read_robot_description
-from calibration.robot.simulation.description import MAX_BYTES, Pose, degrees, listed, rising
-from calibration.robot.simulation.scene import Board, Scene
+from calibration.robot.simulation.scene import MAX_BYTES, Board, Pose, Scene, degrees, listed, rising
 from calibration.robot.simulation.sensors import (
     SIMULATED_SENSORS,
     SimulatedCamera,

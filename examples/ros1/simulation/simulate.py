@@ -16,9 +16,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from tf2_msgs.msg import TFMessage
 
 from calibration.engine.geometry.rotations import to_quaternion
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import place, stream
+from calibration.robot.simulation.motion import Motion
 from calibration.robot.simulation.system import read_system
 
 RATE = 10.0

@@ -5,8 +5,8 @@ import pytest
 
 from calibration.addons.recorder.session import Session, drag, find_handle, handle_pose
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, translation
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import Motion
 from calibration.robot.simulation.system import System
 
 

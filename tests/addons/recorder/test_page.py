@@ -11,8 +11,8 @@ import pytest
 from calibration.__main__ import main
 from calibration.addons.recorder.scene import extent, view_point
 from calibration.addons.recorder.session import Session
-from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.sequence import motion_document, read_motion
+from calibration.robot.simulation.motion import motion_document, read_motion
+from calibration.robot.simulation.motion_generation import generate_motion
 from calibration.robot.simulation.system import System
 
 pytest.importorskip("playwright")

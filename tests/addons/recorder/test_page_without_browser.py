@@ -12,7 +12,7 @@ from calibration.addons.recorder.preview import Preview
 from calibration.addons.recorder.recording import serving
 from calibration.addons.recorder.session import Session
 from calibration.base import InputError
-from calibration.robot.simulation.motion.sequence import Motion, read_motion
+from calibration.robot.simulation.motion import Motion, read_motion
 from calibration.robot.simulation.system import System
 from tests.addons.recorder.conftest import DATASETS
 

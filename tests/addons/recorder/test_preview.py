@@ -8,8 +8,8 @@ from calibration.addons.recorder.preview import MAX_PICTURE_WIDTH, draw_corners,
 from calibration.addons.recorder.session import Session
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, translation
-from calibration.robot.simulation.motion.sequence import read_motion
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import read_motion
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.system import System, read_system
 from tests.pipeline.systems import with_scanner

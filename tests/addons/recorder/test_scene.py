@@ -17,8 +17,8 @@ from calibration.addons.recorder.session import Session
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.robot.simulation.motion.sequence import moving_joints
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import moving_joints
 from calibration.robot.simulation.system import System
 
 

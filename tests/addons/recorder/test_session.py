@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from calibration.addons.recorder.session import Session, joined
 from calibration.base import InfrastructureError, InputError
 from calibration.engine.geometry.transforms import from_xyz_rpy, translation
-from calibration.robot.simulation.motion.sequence import Motion, read_motion
+from calibration.robot.simulation.motion import Motion, read_motion
 from calibration.robot.simulation.system import System
 from tests.addons.recorder.conftest import DATASETS
 

@@ -9,11 +9,11 @@ import pytest
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_document
-from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.dataset_folder import dataset_document
-from calibration.robot.simulation.collection.record import Record, collect_pose, kept
-from calibration.robot.simulation.motion.sequence import read_motion
-from calibration.robot.simulation.placement import Play, play
+from calibration.robot.simulation.capture import Requirements
+from calibration.robot.simulation.dataset_folder import dataset_document
+from calibration.robot.simulation.kinematics import Play, play
+from calibration.robot.simulation.motion import read_motion
+from calibration.robot.simulation.record import Record, collect_pose, kept
 from calibration.robot.simulation.system import read_system
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "ros1"

@@ -17,8 +17,8 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import inverse
 from calibration.robot.importing.importing import import_data
-from calibration.robot.simulation.collection.capture import capture
-from calibration.robot.simulation.collection.record import pose_document
+from calibration.robot.simulation.capture import capture
+from calibration.robot.simulation.record import pose_document
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 from tests.examples.ros1.test_collecting import BOARD, CONFIG
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile

@@ -12,8 +12,8 @@ from example_robot.dataset import DatasetFolder, View
 
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.dataset.reading import read_dataset
-from calibration.robot.simulation.collection.capture import capture
-from calibration.robot.simulation.collection.record import pose_document
+from calibration.robot.simulation.capture import capture
+from calibration.robot.simulation.record import pose_document
 from tests.examples.ros1.conftest import EXAMPLE, Collected
 
 CONFIG = yaml.safe_load((EXAMPLE / "system" / "config.yml").read_text())

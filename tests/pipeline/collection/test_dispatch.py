@@ -16,8 +16,8 @@ from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
-from calibration.robot.simulation.collection import record as poses
-from calibration.robot.simulation.collection.proof import JointProof, Proof
+from calibration.robot.simulation import record as poses
+from calibration.robot.simulation.proof import JointProof, Proof
 from tests.pipeline.conftest import DATASETS
 from tests.small import first_poses
 

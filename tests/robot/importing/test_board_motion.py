@@ -25,7 +25,7 @@ from calibration.robot.importing.files.camera_files import KnownLens
 from calibration.robot.importing.image_views import FoundCorners, LabelledMoment, View
 from calibration.robot.importing.importing import import_data
 from calibration.robot.importing.recorded import Recorded, imported_moments
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.importing.bags import BagFile

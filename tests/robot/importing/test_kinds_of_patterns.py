@@ -19,7 +19,7 @@ from calibration.robot.importing.description import ImportDescription
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.importing import import_data
 from calibration.robot.labelling.detection import Image
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.importing.conftest import camera_info

@@ -21,7 +21,7 @@ from calibration.engine.geometry.transforms import apply, from_xyz_rpy, local
 from calibration.robot.importing.description import ImportDescription, with_sides
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.importing import import_data
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.importing.bags import BEGIN, SECOND, BagFile

@@ -19,7 +19,7 @@ from calibration.robot.labelling.board_image import refine
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.unmarked_grids import ChessboardDetector
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.labelling.pictures import HD, HD_DISTORTED, VGA, Photograph, charuco, chessboard, facing, true_corners

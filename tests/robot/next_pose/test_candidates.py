@@ -16,9 +16,9 @@ from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.geometry.transforms import distance
 from calibration.robot.next_pose.candidates import PoseCandidates, candidates_of
 from calibration.robot.next_pose.expected_labels import expected_labels
-from calibration.robot.next_pose.instructions import instruction, motion_of, patterns_in_view, poses_csv
-from calibration.robot.simulation.motion.information import expected_dataset
-from calibration.robot.simulation.placement import place
+from calibration.robot.next_pose.plan import instruction, motion_of, patterns_in_view, poses_csv
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion_information import expected_dataset
 from calibration.robot.simulation.system import read_system
 
 DATASETS = Path(__file__).resolve().parents[3] / "datasets"

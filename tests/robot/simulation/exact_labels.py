@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
-from calibration.robot.simulation.motion.generation import draw_motion, generate_motion
-from calibration.robot.simulation.motion.information import expected_dataset
-from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import place, stream
+from calibration.robot.simulation.motion_generation import draw_motion, generate_motion
+from calibration.robot.simulation.motion_information import expected_dataset
 from calibration.robot.simulation.sensors.camera import CORNER_NOISE
 from calibration.robot.simulation.system import System
 

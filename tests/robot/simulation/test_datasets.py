@@ -18,8 +18,8 @@ from calibration.engine.geometry.transforms import apply, inverse
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.motion import read_motion
+from calibration.robot.simulation.motion_generation import generate_motion
 from calibration.robot.simulation.system import System
 
 from .conftest import DATASETS, FREE, SYSTEMS

@@ -4,8 +4,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.engine.geometry.transforms import distance, from_xyz_rpy, inverse, local
-from calibration.robot.simulation.inverse_kinematics import _linearise, _merged_chain, joints_between, reach
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import _linearise, _merged_chain, joints_between, reach, stream
 from calibration.robot.simulation.system import System
 from calibration.robot.urdf import compose, parse_robot
 

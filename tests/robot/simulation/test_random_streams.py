@@ -1,4 +1,4 @@
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 
 
 def test_each_purpose_has_its_own_numbers() -> None:

@@ -398,8 +398,7 @@ class _Meeting:
     @property
     def points(self) -> Array:
         """(v, 3, L): the measured points."""
-        points: Array = self._origin + self._ranges[:, None] * self.directions
-        return points
+        return self._origin + self._ranges[:, None] * self.directions
 
 
 def elevations(rays: Array) -> Array:

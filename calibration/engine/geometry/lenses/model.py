@@ -159,7 +159,6 @@ class InFront(Chart):
 
     def coordinates(self, points: Array, domain: Domain) -> Array:
         """See `Chart`; the domain is what is in front."""
-        del domain
         z = np.where(points[2] > 0, points[2], np.nan)
         return np.stack([points[0] / z, points[1] / z])
 
@@ -177,7 +176,6 @@ class InFront(Chart):
 
     def placed(self, points: Array, domain: Domain) -> Placed:
         """See `Chart`."""
-        del domain
         behind = None if points[2].min() > MIN_DEPTH else ~(points[2] > MIN_DEPTH)
         if behind is not None:
             points[2][behind] = 1.0

@@ -131,7 +131,6 @@ class _Sphere(_Wide):
 
     def undistort(self, x: Array, y: Array, step: float = LAST_STEP) -> Distorted:
         """See `Distortion`; in closed form."""
-        del step
         radius = np.hypot(x, y)
         with np.errstate(all="ignore"):  # no inverse exists beyond some radius
             t = self._angle(radius)

@@ -38,7 +38,7 @@ from calibration.robot.labelling.depth import label_depth
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints, label_points
 from calibration.robot.labelling.scan_line import label_scan_line
-from calibration.robot.simulation.collection.capture import estimate_pose
+from calibration.robot.simulation.capture import estimate_pose
 from calibration.robot.urdf import compose
 
 MAX_POINTS = 20_000_000

@@ -18,7 +18,7 @@ from calibration.robot.importing.look.images import LookedFor, measured
 from calibration.robot.importing.look.looking import MAX_BLUR_PX, MAX_SATURATED, MIN_WHITE
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import grey
-from calibration.robot.simulation.collection.record import COVERAGE_COLUMNS, COVERAGE_ROWS, image_cells
+from calibration.robot.simulation.record import COVERAGE_COLUMNS, COVERAGE_ROWS, image_cells
 
 MAX_TILT = 65.0
 """degrees: limit of a pattern's tilt; beyond it corners are too narrow to be accurate (docs/recording.md)."""

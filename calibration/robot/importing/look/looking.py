@@ -27,7 +27,7 @@ from calibration.robot.importing.look.images import (
 )
 from calibration.robot.importing.look.topics import NOT_CALIBRATED, BagContent, frames_summary, read_content
 from calibration.robot.importing.results import CameraSummary, FramesSummary, LookResults, Missing, TopicSummary
-from calibration.robot.simulation.collection.record import image_cells
+from calibration.robot.simulation.record import image_cells
 
 YOUR_DATA = "docs/your-data.md"
 BAGS_PAGE = YOUR_DATA + "#a-bag-of-ros-1-or-ros-2"

@@ -17,8 +17,16 @@ from calibration.base.arrays import Array, BoolArray, IntArray
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses.model import IN_FRONT
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, Background, background, in_steps
-from calibration.robot.simulation.rendering.rays import SAMPLES_PER_PIXEL, rays, rounded, sample_rays
+from calibration.robot.simulation.rendering.background import (
+    SAMPLES_PER_PIXEL,
+    STEPS_PER_GREY_LEVEL,
+    Background,
+    background,
+    in_steps,
+    rays,
+    rounded,
+    sample_rays,
+)
 from calibration.robot.simulation.rendering.texture import texture
 from calibration.robot.simulation.scene import Board, Light, Scene, turned
 
@@ -216,7 +224,7 @@ def radiance(camera: Camera, T_world_camera: Array, scene: Scene, boards: Sequen
     if views:
         rows, columns = _draw_patterns(light, behind, views)
         if len(rows):
-            light[rows, columns] = _mixed_radiance(camera, pose, scene, behind, views, rows, columns)
+            light[rows, columns] = _mixed_radiance(camera, behind, views, rows, columns)
     return light
 
 
@@ -230,8 +238,7 @@ def _draw_patterns(
     """
     window = _slices_around(views, light.shape[:2])
     (top, left), shape = (part.start for part in window), light[window].shape[:2]
-    hidden = behind.is_beyond(window, [view.depth for view in views])
-    nearest = np.full(shape, np.inf) if hidden else behind.depth[window].copy()
+    nearest = behind.depth[window].copy()
     owner = np.zeros(shape, np.uint16)  # 0 for the background
     several = np.zeros(shape, bool)
     parts = [(_shift_slice(view.part[0], -top), _shift_slice(view.part[1], -left)) for view in views]
@@ -263,26 +270,16 @@ def _shift_slice(part: slice, by: int) -> slice:
 
 
 def _mixed_radiance(
-    camera: Camera,
-    T_world_camera: Array,
-    scene: Scene,
-    behind: Background,
-    views: list[PatternView],
-    rows: IntArray,
-    columns: IntArray,
+    camera: Camera, behind: Background, views: list[PatternView], rows: IntArray, columns: IntArray
 ) -> NDArray[np.uint16]:
     """Return the radiance (N, 3) of pixels that see several surfaces."""
     directions = sample_rays(camera, rows, columns)
     distances = [view.board.cast_in(view.T_camera_pattern, directions) for view in views]
-    if behind.is_beyond((slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)), distances):
-        nearest = np.full(directions.shape[1:], np.inf)
-    else:
-        nearest, _ = scene.hit(T_world_camera[:3, 3], turned(T_world_camera, directions))
+    nearest, seen = behind.along(directions)
     owner = np.zeros(nearest.shape, np.int64)
     for i, distance in enumerate(distances):
         nearer = distance < nearest
         nearest[nearer], owner[nearer] = distance[nearer], i + 1
-    seen = behind.colours(directions, rows, columns)
     seen[:, owner != 0] = 0
     total = np.zeros((len(rows), 3))
     for i, view in enumerate(views):

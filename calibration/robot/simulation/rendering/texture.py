@@ -210,8 +210,7 @@ DRAWN_PATTERNS: dict[str, Callable[[PatternConfiguration, bool], _Sketch]] = {
 def _interval_coverage(texels: int, ends: Array) -> Array:
     """Return the coverage (texels, N - 1) of each texel by the intervals between consecutive ends (N,)."""
     texel = np.arange(texels)[:, None]
-    cover: Array = np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None)
-    return cover
+    return np.asarray(np.clip(np.minimum(texel + 1, ends[1:]) - np.maximum(texel, ends[:-1]), 0, None))
 
 
 def _with_border(image: Grey, margin: tuple[int, int], paper: int) -> Grey:

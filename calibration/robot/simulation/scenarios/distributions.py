@@ -128,7 +128,6 @@ class WholeEntry:
 
     def distribution(self, low: float, high: float) -> Distribution:
         """Create the distribution; ``low`` and ``high`` are the parameter's own limits."""
-        del low, high
         if self.choice is not None:
             return Choice(tuple(sorted(map(float, self.choice))))
         first, last = _checked_rising(self.integer or (), "integer")

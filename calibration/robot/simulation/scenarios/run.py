@@ -10,15 +10,21 @@ from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions
 from calibration.engine.evaluation.truth import TRUTH_FILE
-from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.collection.dataset_folder import dataset_document, truth_document
-from calibration.robot.simulation.collection.proof import Proof, prove
-from calibration.robot.simulation.collection.record import Record, collect_pose, corner_rms, kept
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import Play, play
-from calibration.robot.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash, parse_id
+from calibration.robot.simulation.capture import Requirements
+from calibration.robot.simulation.dataset_folder import dataset_document, truth_document
+from calibration.robot.simulation.kinematics import Play, play
+from calibration.robot.simulation.motion import Motion
+from calibration.robot.simulation.proof import Proof, prove
+from calibration.robot.simulation.record import Record, collect_pose, corner_rms, kept
+from calibration.robot.simulation.scenarios.scenario import (
+    Scenario,
+    ScenarioResult,
+    build_world,
+    content_hash,
+    parse_id,
+    scenario_motion,
+)
 from calibration.robot.simulation.scenarios.scenario_set import ScenarioSet
-from calibration.robot.simulation.scenarios.world import build_world, scenario_motion
 
 MAX_LEFT_BY_DRIVER = 0.5
 """Largest share of the error's standard deviations that is left without what drives it."""

@@ -54,8 +54,7 @@ from calibration.base.records import (
 )
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.robot.simulation.scenarios.distributions import Distribution, Drawn, drawn
-from calibration.robot.simulation.scenarios.scenario import Scenario
-from calibration.robot.simulation.scenarios.world import build_world, clearance
+from calibration.robot.simulation.scenarios.scenario import Scenario, build_world, clearance
 from calibration.robot.simulation.system import System
 
 CLEARANCE_KEY = "scene.clearance_m"

@@ -18,7 +18,7 @@ import numpy as np
 from calibration.base.arrays import Array, IntArray
 from calibration.base.optional import optional
 from calibration.engine.statistics import FAMILY_WISE
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scenarios.scenario import ScenarioResult
 
 if TYPE_CHECKING:
@@ -104,8 +104,7 @@ def centred_ranks(values: Array) -> IntArray:
     """
     _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
     below = np.cumsum(counts) - counts
-    ranks: IntArray = (2 * below + counts - len(values))[inverse]
-    return ranks
+    return (2 * below + counts - len(values))[inverse]
 
 
 def _value_columns(values: Sequence[Mapping[str, float]]) -> dict[str, Array]:

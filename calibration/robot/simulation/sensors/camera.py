@@ -30,10 +30,9 @@ from calibration.engine.geometry.lenses.model import IN_FRONT
 from calibration.engine.geometry.transforms import apply
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector, Image
-from calibration.robot.simulation.description import listed
 from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL
 from calibration.robot.simulation.rendering.image import radiance
-from calibration.robot.simulation.scene import Board, Scene
+from calibration.robot.simulation.scene import Board, Scene, listed
 from calibration.robot.simulation.sensors.sensor import (
     LEAST_SHARE,
     PICTURE_HEIGHT_PX,
@@ -220,7 +219,6 @@ class SimulatedCamera(SimulatedSensor):
 
     def message(self, data: Data) -> dict[str, Any]:
         """Return the fields of an Image."""
-        del data
         return image_message(self.camera, "bgr8", 3)
 
     def encode(self, data: Data) -> bytes:
@@ -229,7 +227,6 @@ class SimulatedCamera(SimulatedSensor):
 
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
         """Detect the corners; the expected pose is not used."""
-        del T_sensor_pattern
         return _cached_detector(pattern).detect(data)
 
     def label_document(self, found: Found) -> dict[str, Any]:
@@ -254,7 +251,6 @@ class SimulatedCamera(SimulatedSensor):
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
         """Return the noise of corners."""
-        del distance
         return {"pixel": CORNER_NOISE}
 
     def shows_centre(self, views: Views) -> BoolArray:
@@ -336,8 +332,7 @@ class CornerViews:
             place = (self.pixels + 0.5) / [camera.width, camera.height] * COVERAGE_CELLS
         column, row = np.moveaxis(np.where(self.seen[..., None], place, -1).astype(int), -1, 0)
         cell = np.where(self.seen, row.clip(max=rows - 1) * columns + column.clip(max=columns - 1), -1)
-        occupied: BoolArray = (cell[..., None] == np.arange(columns * rows)).any(-2)
-        return occupied
+        return np.asarray((cell[..., None] == np.arange(columns * rows)).any(-2))
 
 
 @lru_cache
@@ -373,8 +368,7 @@ def _vignetting_gain(camera: Camera, vignetting: float) -> NDArray[np.float32]:
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height)[:, None] - camera.cy) / camera.fy
     loss = 1 - 1 / (1 + x * x + y * y) ** 2
-    gain: NDArray[np.float32] = (1 - vignetting * loss / max(float(loss.max()), 1e-12)).astype(np.float32)
-    return gain
+    return (1 - vignetting * loss / max(float(loss.max()), 1e-12)).astype(np.float32)
 
 
 def square_corners(configuration: PatternConfiguration, pattern: Pattern) -> Array:
@@ -421,5 +415,4 @@ def _square_widths(pixels: Array) -> Array:
     down = pixels[:, 1:, :-1] - pixels[:, :-1, :-1]
     area = np.abs(along[..., 0] * down[..., 1] - along[..., 1] * down[..., 0])
     longer = np.maximum(np.hypot(*np.moveaxis(along, -1, 0)), np.hypot(*np.moveaxis(down, -1, 0)))
-    width: Array = area / np.maximum(longer, 1e-300)
-    return width
+    return np.asarray(area / np.maximum(longer, 1e-300))

@@ -19,10 +19,8 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse
 from calibration.robot.labelling.depth import away_from_edge, label_depth
 from calibration.robot.labelling.detection import DepthImage, Image
-from calibration.robot.simulation.description import rising
-from calibration.robot.simulation.rendering.background import background
-from calibration.robot.simulation.rendering.rays import rays, rounded
-from calibration.robot.simulation.scene import Board, Scene
+from calibration.robot.simulation.rendering.background import background, rays, rounded
+from calibration.robot.simulation.scene import Board, Scene, rising
 from calibration.robot.simulation.sensors.camera import CAMERA_OF_LENS, encode_image, image_message
 from calibration.robot.simulation.sensors.sensor import (
     LEAST_SHARE,
@@ -98,7 +96,6 @@ class SimulatedDepthCamera(RangeSensor):
 
     def message(self, data: Data) -> dict[str, Any]:
         """Return the fields of an Image."""
-        del data
         return image_message(self.camera, "16UC1", 2)
 
     def encode(self, data: Data) -> bytes:
@@ -116,8 +113,7 @@ class SimulatedDepthCamera(RangeSensor):
         _, visible = corners_in_image(self.camera, corners)
         visible &= (corners[..., 2] > self.least_range) & (corners[..., 2] < self.most_range)
         visible &= ~views.hidden(places)
-        measured: BoolArray = facing(views.T_sensor_pattern, views.pattern.centre) & (visible.mean(-1) >= LEAST_SHARE)
-        return measured
+        return np.asarray(facing(views.T_sensor_pattern, views.pattern.centre) & (visible.mean(-1) >= LEAST_SHARE))
 
     def points_on(self, views: Views, number: int) -> PointLabels:
         """Return the points of the pixels on the pattern, evenly thinned.
@@ -147,7 +143,6 @@ class SimulatedDepthCamera(RangeSensor):
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
         """Draw the image, near bright and far dark; the labelled pixels in their colours."""
-        del patterns
         camera = self.camera
         width = max(1, round(PICTURE_HEIGHT_PX / camera.height * camera.width))
         try:

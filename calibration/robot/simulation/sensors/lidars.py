@@ -23,8 +23,7 @@ from calibration.engine.statistics import median
 from calibration.robot.labelling.detection import Image
 from calibration.robot.labelling.points import label_points
 from calibration.robot.labelling.scan_line import label_scan_line, scan_line_ends
-from calibration.robot.simulation.description import degrees, listed, rising
-from calibration.robot.simulation.scene import Board, Scene
+from calibration.robot.simulation.scene import Board, Scene, degrees, listed, rising
 from calibration.robot.simulation.sensors.sensor import (
     LEAST_SHARE,
     MAX_VIEW_ANGLE,
@@ -78,7 +77,6 @@ class RaySensor(RangeSensor):
 
     def directions_towards(self, pattern: Pattern, T_sensor_pattern: Array) -> Array:
         """Return rays (rings, A, 3) that include all that can hit a pattern, the same azimuths for every ring."""
-        del pattern, T_sensor_pattern
         return self.directions()
 
     def scan(
@@ -210,8 +208,7 @@ class SimulatedLidar2d(RaySensor):
 
     def points(self, data: Data) -> Array:
         """Return the points (rays, 3); NaN without a return."""
-        points: Array = np.where(data > 0, data, np.nan)[:, None] * self.directions()[0]
-        return points
+        return np.asarray(np.where(data > 0, data, np.nan)[:, None] * self.directions()[0])
 
     def label(self, data: Data, pattern: PatternConfiguration, T_sensor_pattern: Array) -> Found:
         """Find the rays on the pattern."""
@@ -239,14 +236,12 @@ class SimulatedLidar2d(RaySensor):
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
         """Return the noise of ranges and of the ends of a scan line, equal at any distance."""
-        del distance
         return {"lidar2d_range": self.range_noise, "lidar2d_border": self.border_noise}
 
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
         """Draw the scan from above, the sensor at the bottom, x up; up to twice the pattern's distance."""
-        del patterns, files
         picture = blank(2 * PICTURE_HEIGHT_PX, NO_DATA_COLOUR)
         ranges = message.get("ranges")
         if ranges is None:  # from applications in containers, whose scans are not drawn
@@ -367,15 +362,13 @@ class SimulatedLidar(RaySensor):
         scan = self.scan(T_world_sensor, scene, boards, random, sector)
         stored = scan.returns
         rays = self.directions()[:, sector][stored]
-        points: Array = np.round(scan.ranges[stored, None] * rays, COORDINATE_DECIMALS) + 0.0
-        return points
+        return np.round(scan.ranges[stored, None] * rays, COORDINATE_DECIMALS) + 0.0
 
     def _board_sector(self, board: Board, T_world_sensor: Array) -> BoolArray:
         """Return a mask (A,) of the azimuths of the board and of the margin beside it."""
         middle, beside = _azimuths_of(apply(inverse(T_world_sensor), board.corners()))
         away = np.abs(_normalise_angle(_even_azimuths(self.azimuths) - middle))
-        inside: BoolArray = away <= np.abs(beside).max() + self.margin
-        return inside
+        return np.asarray(away <= np.abs(beside).max() + self.margin)
 
     def message(self, data: Data) -> dict[str, Any]:
         """Return the fields of a PointCloud2."""
@@ -411,25 +404,22 @@ class SimulatedLidar(RaySensor):
         rings = np.array(self.elevations)
         between = (rings > elevation.min(-1, keepdims=True)) & (rings < elevation.max(-1, keepdims=True))
         sight = corners.mean(-2) / np.linalg.norm(corners.mean(-2), axis=-1, keepdims=True)
-        crossed: BoolArray = (
+        return np.asarray(
             (between.sum(-1) >= LEAST_RINGS)
             & (border.min(-1) > self.least_range)
             & (border.max(-1) < self.most_range)
             & (np.abs((T_lidar_pattern[:, :3, 2] * sight).sum(-1)) > np.cos(MAX_VIEW_ANGLE))
             & (views.hidden(board.corners).mean(-1) < 1 - LEAST_SHARE)
         )
-        return crossed
 
     def noise_levels(self, distance: float) -> dict[NoiseKind, float]:
         """Return the noise of ranges and of the border, equal at any distance."""
-        del distance
         return {"range": self.range_noise, "border": self.border_noise}
 
     def draw(
         self, message: Mapping[str, Any], labels: Sequence[Mapping[str, Any]], patterns: Sequence[Pattern], files: Path
     ) -> Image:
         """Draw the cloud as seen from the sensor: azimuth to the left, elevation up."""
-        del patterns
         picture = blank(2 * PICTURE_HEIGHT_PX, NO_DATA_COLOUR)
         try:
             points = read_points(files / message["data_file"])
@@ -484,13 +474,11 @@ def _fast_angle(y: Array, x: Array) -> Array:
     ratio = shorter / np.maximum(longer, 1e-300)
     angle = ratio * (np.pi / 4 + 0.273 * (1 - ratio))
     angle = np.where(np.abs(y) > np.abs(x), np.pi / 2 - angle, angle)
-    turned: Array = np.copysign(np.where(x < 0, np.pi - angle, angle), y)
-    return turned
+    return np.copysign(np.where(x < 0, np.pi - angle, angle), y)
 
 
 def _spread_over(values: Array, length: int) -> Array:
     """Map values to a length, with a margin at its ends."""
     low, high = values.min(), values.max()
     share = (values - low) / max(high - low, 1e-9)
-    place: Array = (0.05 + 0.9 * share) * (length - 1)
-    return place
+    return np.asarray((0.05 + 0.9 * share) * (length - 1))

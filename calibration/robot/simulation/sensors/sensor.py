@@ -86,8 +86,7 @@ def facing(T_sensor_pattern: Array, centre: Array) -> BoolArray:
     The pattern's z axis points away from a sensor that sees it; centre (3,) is in the pattern's frame.
     """
     sensor = inverse(T_sensor_pattern)[..., :3, 3] - centre
-    front: BoolArray = -sensor[..., 2] > math.cos(MAX_VIEW_ANGLE) * np.linalg.norm(sensor, axis=-1)
-    return front
+    return np.asarray(-sensor[..., 2] > math.cos(MAX_VIEW_ANGLE) * np.linalg.norm(sensor, axis=-1))
 
 
 def corners_in_image(camera: Camera, points: Array) -> tuple[Array, BoolArray]:
@@ -184,7 +183,6 @@ class SimulatedSensor(ABC):
 
     def points(self, data: Data) -> Array | None:
         """Return the points (N, 3) in the sensor's frame, m, NaN without a return; None if the data are an image."""
-        del data
         return None
 
     @abstractmethod
@@ -231,7 +229,6 @@ class RangeSensor(SimulatedSensor):
 
     def with_values(self, name: str, values: Mapping[str, float]) -> Self:
         """Return the sensor with another noise."""
-        del name
         return replace(self, noise=values["noise_m"]) if "noise_m" in values else self  # type: ignore[type-var]
 
     def label_document(self, found: Found) -> dict[str, Any]:

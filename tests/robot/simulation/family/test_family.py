@@ -14,9 +14,9 @@ from calibration.engine.evaluation.truth import find_truth, truth_error, truth_o
 from calibration.engine.geometry.transforms import distance
 from calibration.pipeline.collection.dispatch import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
-from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.information import expected_dataset
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion_generation import generate_motion
+from calibration.robot.simulation.motion_information import expected_dataset
 from tests.robot.simulation.exact_labels import as_designed, exact_labels, noisy
 from tests.robot.simulation.family.describing import Robot
 from tests.robot.simulation.family.robots import FAMILY, mrbot, mrjbot, rihbot, rihmpbot

@@ -6,8 +6,14 @@ from calibration.base.arrays import Array
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL, background, colours
-from calibration.robot.simulation.rendering.rays import SAMPLES_PER_PIXEL, rays, sample_rays
+from calibration.robot.simulation.rendering.background import (
+    SAMPLES_PER_PIXEL,
+    STEPS_PER_GREY_LEVEL,
+    background,
+    colours,
+    rays,
+    sample_rays,
+)
 from calibration.robot.simulation.scene import Box, Light, Scene, turned
 from tests.robot.simulation.rendering.views import DISTORTION, EVEN, T_WORLD_CAMERA, camera
 
@@ -106,7 +112,7 @@ def in_steps(colour: Array) -> np.ndarray:
 @pytest.mark.thorough(but_first=1)
 @pytest.mark.parametrize("of", CAMERAS)
 def test_every_pixel_has_the_colour_that_its_own_rays_see(of: Camera) -> None:
-    """The same image without cells and facets."""
+    """Each sample is intersected with the whole scene."""
     random = np.random.default_rng(6)
     for number in range(6):
         boxes = tuple(
@@ -125,14 +131,6 @@ def test_every_pixel_has_the_colour_that_its_own_rays_see(of: Camera) -> None:
         ).T
         assert len(rows) > 500
         np.testing.assert_array_equal(background(of, T, scene).radiance, expected)
-
-
-def test_what_is_surely_beyond() -> None:
-    behind, part = background(CAMERA, T_WORLD_CAMERA, Scene(boxes=(RED_BOX,))), (slice(100, 140), slice(150, 170))
-    assert behind.is_beyond(part, [np.array([1.0, 1.99, np.inf])])
-    assert not behind.is_beyond(part, [np.array([1.0]), np.array([2.01])])
-    assert behind.is_beyond((slice(0, 10), slice(0, 20)), [np.array([99.0])])  # the sky
-    assert behind.is_beyond(part, [np.array([np.inf])])
 
 
 @pytest.mark.parametrize("of", CAMERAS)

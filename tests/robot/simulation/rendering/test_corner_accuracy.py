@@ -14,7 +14,7 @@ from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import Distortion, DoubleSphere, Equidistant, PlumbBob
 from calibration.engine.geometry.transforms import apply, transform
 from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Scene
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.simulation.rendering.views import (

@@ -6,7 +6,7 @@ import pytest
 from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedDepthCamera
 from tests.robot.simulation.rendering.views import (

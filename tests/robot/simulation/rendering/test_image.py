@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import PlumbBob
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.rendering.image import BACK_REFLECTANCE
 from calibration.robot.simulation.rendering.texture import INK_REFLECTANCE, PAPER_REFLECTANCE
 from calibration.robot.simulation.scene import Board, Box, Light, Scene

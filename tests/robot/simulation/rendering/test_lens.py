@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.rendering.background import STEPS_PER_GREY_LEVEL
 from calibration.robot.simulation.sensors import SimulatedCamera
 from tests.robot.simulation.rendering.views import camera, perfect

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Board, Box, Scene
 from calibration.robot.simulation.sensors import SimulatedLidar
 from calibration.robot.simulation.sensors.lidars import Scan

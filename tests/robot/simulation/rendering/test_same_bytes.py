@@ -4,7 +4,7 @@ import hashlib
 
 import numpy as np
 
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import stream
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedDepthCamera, SimulatedLidar
 from tests.processors import on_a_lesser_processor, on_linux

@@ -10,8 +10,8 @@ import pytest
 from calibration.base import InputError
 from calibration.ci.execution.tasks import Task, run_tasks, single_threaded_opencv
 from calibration.engine.estimation.options import ALL_EXACT
-from calibration.robot.simulation.collection.capture import Requirements
-from calibration.robot.simulation.motion.sequence import Motion, read_motion
+from calibration.robot.simulation.capture import Requirements
+from calibration.robot.simulation.motion import Motion, read_motion
 from calibration.robot.simulation.scenarios.run import find_driver, pending_result, run_scenario, world_assumptions
 from calibration.robot.simulation.scenarios.scenario import Scenario, ScenarioResult, content_hash, parse_id
 from calibration.robot.simulation.scenarios.scenario_set import ScenarioSet, read_scenario_set

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base import InputError
-from calibration.robot.simulation.motion.sequence import read_motion
+from calibration.robot.simulation.motion import read_motion
 from calibration.robot.simulation.scenarios import scenario as module
 from calibration.robot.simulation.scenarios.scenario import Scenario, content_hash, parse_id, scenario_id
 from calibration.robot.simulation.system import System

@@ -3,8 +3,8 @@ import random
 import pytest
 
 from calibration.base import InputError
+from calibration.robot.simulation.scenarios.scenario import build_world, clearance
 from calibration.robot.simulation.scenarios.scenario_set import CLEARANCE_KEY, read_scenario_set
-from calibration.robot.simulation.scenarios.world import build_world, clearance
 from calibration.robot.simulation.system import System
 from tests.robot.simulation.conftest import DATASETS
 from tests.robot.simulation.scenarios.conftest import ReadSet

@@ -6,9 +6,8 @@ import pytest
 from calibration.base import InputError
 from calibration.engine.geometry.lenses import Equidistant
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse, local
-from calibration.robot.simulation.motion.generation import filling_distances
-from calibration.robot.simulation.scenarios.scenario import Scenario
-from calibration.robot.simulation.scenarios.world import build_world, clearance, scenario_motion
+from calibration.robot.simulation.motion_generation import filling_distances
+from calibration.robot.simulation.scenarios.scenario import Scenario, build_world, clearance, scenario_motion
 from calibration.robot.simulation.sensors import SimulatedCamera, SimulatedLidar
 from calibration.robot.simulation.system import System
 from calibration.robot.urdf import compose

@@ -13,8 +13,7 @@ from calibration.engine.estimation.start.single_views import corner_term, fitted
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import inverse, translation
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.simulation.placement import Play
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.kinematics import Play, stream
 from calibration.robot.simulation.scene import Board
 from calibration.robot.simulation.sensors.sensor import Data, Found
 from calibration.robot.simulation.system import System
@@ -127,8 +126,7 @@ def _estimated_pattern_pose(
         if name == pattern and isinstance(found, CornerLabels) and np.isfinite(estimates[name, camera]).all()
     }
     if not counts:
-        T_world_pattern: Array = play.nominal.patterns[pattern][number]
-        return T_world_pattern
+        return np.asarray(play.nominal.patterns[pattern][number])
     best = max(counts, key=lambda camera: counts[camera])
     T_world_camera: Array = play.nominal.sensors[best][number]
     return T_world_camera @ estimates[pattern, best]
@@ -137,8 +135,7 @@ def _estimated_pattern_pose(
 def estimate_pose(camera: Camera, pattern: Pattern, labels: CornerLabels) -> Array:
     """Estimate ``T_camera_pattern`` (4, 4) from the labels of one view; NaN if they do not determine it."""
     T_camera_centre, _ = fitted_poses(corner_term(camera, pattern, [labels]))
-    T_camera_pattern: Array = T_camera_centre[0] @ inverse(translation(pattern.centre))
-    return T_camera_pattern
+    return np.asarray(T_camera_centre[0] @ inverse(translation(pattern.centre)))
 
 
 @dataclass(frozen=True)

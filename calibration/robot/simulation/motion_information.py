@@ -22,8 +22,8 @@ from calibration.engine.estimation.problem.blocks import Values
 from calibration.engine.estimation.start.build import Setup, build
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import inverse, translation
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import Placement, place, views
+from calibration.robot.simulation.kinematics import Placement, place, views
+from calibration.robot.simulation.motion import Motion
 from calibration.robot.simulation.system import System
 from calibration.robot.urdf import compose
 
@@ -168,7 +168,7 @@ def predicted_sigmas(system: System, motion: Motion) -> Mapping[str, tuple[float
         is anchored or fixes a free gauge; infinite for what the motion does not determine.
 
     Raises:
-        InputError: the motion does not fit the system (see `calibration.robot.simulation.placement.place`).
+        InputError: the motion does not fit the system (see `calibration.robot.simulation.kinematics.place`).
     """
     sensors = list(system.configuration.sensors.values())
     placement = place(system, motion)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.base import InputError
-from calibration.robot.simulation.motion.sequence import Motion, moving_joints, moving_model
-from calibration.robot.simulation.players import check_motion, player_file
+from calibration.robot.simulation.motion import Motion, check_motion, moving_joints, moving_model, player_file
 
 
 def test_a_player_is_one_file_that_needs_neither_this_package_nor_a_new_python(tmp_path: Path) -> None:

@@ -24,9 +24,8 @@ from calibration.engine.estimation.least_squares.observability import choose
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, inverse, transform
-from calibration.robot.simulation.inverse_kinematics import joints_between, reach
-from calibration.robot.simulation.motion.information import information
-from calibration.robot.simulation.motion.sequence import (
+from calibration.robot.simulation.kinematics import Placement, joints_between, place, reach, stream, views
+from calibration.robot.simulation.motion import (
     GENERATED_PREFIX,
     Motion,
     joined,
@@ -35,8 +34,7 @@ from calibration.robot.simulation.motion.sequence import (
     pose_count,
     read_motion,
 )
-from calibration.robot.simulation.placement import Placement, place, views
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.motion_information import information
 from calibration.robot.simulation.system import MotionRanges, System
 from calibration.robot.urdf import Joint, compose
 
@@ -104,8 +102,7 @@ def within_ranges(T_camera_pattern: Array, camera: Camera, pattern: Pattern, ran
     R = np.swapaxes(_rotations_towards(sight), -1, -2) @ T_camera_pattern[:, :3, :3]
     tilt = np.arccos(np.clip(R[:, 2, 2], -1.0, 1.0))
     roll = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
-    kept: BoolArray = ahead & (tilt <= ranges.tilt) & (np.abs(roll) <= ranges.roll)
-    return kept
+    return ahead & (tilt <= ranges.tilt) & (np.abs(roll) <= ranges.roll)
 
 
 def draw_poses(
@@ -262,8 +259,7 @@ def _has_pattern_in_every_image(system: System, placement: Placement) -> BoolArr
         return system.cameras[name].shows_centre(views(system, placement, name, pattern))
 
     some = [np.any([shown(name, pattern) for pattern in system.patterns], axis=0) for name in system.cameras]
-    found: BoolArray = np.all(some, axis=0)
-    return found
+    return np.asarray(np.all(some, axis=0))
 
 
 def _camera_detections(system: System, camera: str, placement: Placement) -> tuple[BoolArray, BoolArray, BoolArray]:

@@ -8,7 +8,7 @@ import pytest
 from calibration.base import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import from_xyz_rpy
-from calibration.robot.simulation.motion.sequence import (
+from calibration.robot.simulation.motion import (
     Motion,
     joined,
     motion_document,

@@ -3,8 +3,8 @@
 import numpy as np
 
 from calibration.base.arrays import Array
-from calibration.robot.simulation.motion.generation import Candidates
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion_generation import Candidates
 from calibration.robot.simulation.system import System
 
 

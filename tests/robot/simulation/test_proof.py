@@ -8,7 +8,7 @@ from pathlib import Path
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.options import ALL_EXACT, Options
-from calibration.robot.simulation.collection.proof import prove
+from calibration.robot.simulation.proof import prove
 from tests.robot.simulation.conftest import DATASETS
 
 

@@ -7,11 +7,11 @@ import pytest
 from calibration.base import InfrastructureError, InputError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.evaluation.truth import find_truth
-from calibration.robot.simulation.collection import dataset_folder
-from calibration.robot.simulation.collection.dataset_folder import replacing_dataset, write_dataset
-from calibration.robot.simulation.collection.record import Record
-from calibration.robot.simulation.motion.sequence import read_motion
-from calibration.robot.simulation.placement import Play
+from calibration.robot.simulation import dataset_folder
+from calibration.robot.simulation.dataset_folder import replacing_dataset, write_dataset
+from calibration.robot.simulation.kinematics import Play
+from calibration.robot.simulation.motion import read_motion
+from calibration.robot.simulation.record import Record
 from calibration.robot.simulation.system import read_system
 
 Writer = tuple[Play, list[Record], Path]

@@ -6,10 +6,10 @@ import numpy as np
 
 from calibration.engine.dataset.model import CornerLabels
 from calibration.robot.labelling.detection import NotDetected
-from calibration.robot.simulation.collection.capture import Capture, Requirements, capture, image_share, reasons_to_lose
-from calibration.robot.simulation.placement import Play, play
+from calibration.robot.simulation.capture import Capture, Requirements, capture, image_share, reasons_to_lose
+from calibration.robot.simulation.kinematics import Play, play
 from calibration.robot.simulation.system import System
-from tests.robot.simulation.collection.conftest import own_motion
+from tests.robot.simulation.conftest import own_motion
 
 KEY = ("pattern_1", "left_camera")
 

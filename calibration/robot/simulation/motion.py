@@ -210,5 +210,35 @@ def motion_document(motion: Motion) -> dict[str, Any]:
 
 
 def _round_numbers(values: Array) -> Array:
-    finer: Array = np.round(values, POSE_DECIMALS) + 0.0  # no negative zeros
-    return finer
+    return np.round(values, POSE_DECIMALS) + 0.0  # no negative zeros
+
+
+PLAYER_FILES: Mapping[str, str] = {"ros1": "ros1_player.py"}
+"""File of each player, by name."""
+
+
+def player_file(name: str = "ros1") -> Path:
+    """Return the path of a player, a single file without dependencies.
+
+    Raises:
+        InputError: there is no such player.
+    """
+    if name not in PLAYER_FILES:
+        raise InputError(f"player: found '{name}', expected {' or '.join(PLAYER_FILES)}")
+    return Path(__file__).parent / PLAYER_FILES[name]
+
+
+def check_motion(motion: Motion) -> None:
+    """Check that a player can play a motion, which it reads from the file of `motion_document`.
+
+    Raises:
+        InputError: it moves joints, or nothing: a player only moves a free pattern.
+    """
+    if motion.joints:
+        joints = ", ".join(list(motion.joints)[:3])
+        raise InputError(
+            f"{motion.source}: moves joints ({joints}), but our player moves a free pattern only; "
+            "leave out player and let one of the containers play"
+        )
+    if not len(motion):
+        raise InputError(f"{motion.source}: found no pose, expected one at least")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from calibration.robot.simulation.players import player_file
+from calibration.robot.simulation.motion import player_file
 from tests.docker_engine import wait_until
 
 if TYPE_CHECKING:

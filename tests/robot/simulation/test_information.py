@@ -15,18 +15,17 @@ from calibration.engine.estimation.start.build import build
 from calibration.engine.geometry.transforms import apply, distance, inverse
 from calibration.robot.labelling.depth import label_depth
 from calibration.robot.labelling.points import PatternPoints
-from calibration.robot.simulation.motion.information import (
+from calibration.robot.simulation.kinematics import place, stream
+from calibration.robot.simulation.motion import Motion
+from calibration.robot.simulation.motion_information import (
     expected_dataset,
     expected_noise,
     information,
     predicted_sigmas,
 )
-from calibration.robot.simulation.motion.information import (
+from calibration.robot.simulation.motion_information import (
     true_values as values_of_information,
 )
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.random_streams import stream
 from calibration.robot.simulation.scene import Board, Box, Scene
 from calibration.robot.simulation.sensors import SimulatedDepthCamera, SimulatedLidar
 from calibration.robot.simulation.sensors.camera import CORNER_NOISE

@@ -148,7 +148,7 @@ def within(seconds: float, call: Callable[[], Any], what: str, go_on: Callable[[
     return result
 
 
-class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation/players)
+class Ros:  # pragma: no cover (runs where ROS is: tests/integration/simulation)
     """ROS 1 system: the pattern's topic and the service that saves."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:

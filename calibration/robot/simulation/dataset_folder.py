@@ -23,15 +23,15 @@ from calibration.engine.dataset.writing import write_document
 from calibration.engine.evaluation.truth import TRUTH_FILE
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
-from calibration.robot.simulation.collection.record import (
+from calibration.robot.simulation.kinematics import Play
+from calibration.robot.simulation.motion import motion_document
+from calibration.robot.simulation.record import (
     POSE_DECIMALS,
     Record,
     corner_rms,
     message_header,
     pose_document,
 )
-from calibration.robot.simulation.motion.sequence import motion_document
-from calibration.robot.simulation.placement import Play
 from calibration.robot.simulation.system import MOTION_FILE, System
 
 RECORDING_USER = "calibration-ci"

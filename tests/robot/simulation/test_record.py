@@ -9,14 +9,14 @@ import pytest
 
 from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply
-from calibration.robot.simulation.collection import record as poses
-from calibration.robot.simulation.collection.capture import Requirements, capture
-from calibration.robot.simulation.collection.dataset_folder import truth_document
-from calibration.robot.simulation.collection.record import Record, collect, kept, record
-from calibration.robot.simulation.placement import Play, play
+from calibration.robot.simulation import record as poses
+from calibration.robot.simulation.capture import Requirements, capture
+from calibration.robot.simulation.dataset_folder import truth_document
+from calibration.robot.simulation.kinematics import Play, play
+from calibration.robot.simulation.record import Record, collect, kept, record
 from calibration.robot.simulation.system import System
-from tests.robot.simulation.collection.conftest import own_motion
-from tests.robot.simulation.collection.test_capture import bent
+from tests.robot.simulation.conftest import own_motion
+from tests.robot.simulation.test_capture import bent
 
 from .conftest import record_workspace
 

@@ -1,4 +1,4 @@
-"""The player with a fake ROS system; a real one is in tests/integration/simulation/players."""
+"""The player with a fake ROS system; a real one is in tests/integration/simulation."""
 
 import json
 import threading
@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.robot.simulation.players.ros1 import (
+from calibration.robot.simulation.ros1_player import (
     LONGEST,
     Answer,
     PlayError,

@@ -7,9 +7,9 @@ import pytest
 from calibration.base.arrays import Array
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
-from calibration.robot.simulation.motion.sequence import moving_model
-from calibration.robot.simulation.placement import Placement, place
-from calibration.robot.simulation.placement import views as views_of
+from calibration.robot.simulation.kinematics import Placement, place
+from calibration.robot.simulation.kinematics import views as views_of
+from calibration.robot.simulation.motion import moving_model
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedDepthCamera
 from calibration.robot.simulation.sensors.camera import (

@@ -10,15 +10,14 @@ from calibration.engine.dataset.model import CornerLabels
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy, inverse
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
-from calibration.robot.simulation.collection import capture as capture_module
-from calibration.robot.simulation.collection.capture import Capture, capture
-from calibration.robot.simulation.motion.sequence import Motion, moving_joints, moving_model
-from calibration.robot.simulation.placement import Play, place, play
+from calibration.robot.simulation import capture as capture_module
+from calibration.robot.simulation.capture import Capture, capture
+from calibration.robot.simulation.kinematics import Play, place, play
+from calibration.robot.simulation.motion import Motion, moving_joints, moving_model
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedDepthCamera, lidars
 from calibration.robot.simulation.system import System
-from tests.robot.simulation.collection.conftest import own_motion
-from tests.robot.simulation.conftest import SYSTEMS
+from tests.robot.simulation.conftest import SYSTEMS, own_motion
 
 
 def played(system: System, motion: Motion | None = None, seed: int = 5) -> Play:

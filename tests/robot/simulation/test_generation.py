@@ -11,7 +11,9 @@ import pytest
 from calibration.base import InputError
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, from_xyz_rpy
-from calibration.robot.simulation.motion.generation import (
+from calibration.robot.simulation.kinematics import place, stream
+from calibration.robot.simulation.motion import Motion, motion_document, read_motion
+from calibration.robot.simulation.motion_generation import (
     draw_motion,
     draw_poses,
     filling_distances,
@@ -20,15 +22,12 @@ from calibration.robot.simulation.motion.generation import (
     is_clear,
     within_ranges,
 )
-from calibration.robot.simulation.motion.information import predicted_sigmas
-from calibration.robot.simulation.motion.sequence import Motion, motion_document, read_motion
-from calibration.robot.simulation.placement import place
-from calibration.robot.simulation.random_streams import stream
+from calibration.robot.simulation.motion_information import predicted_sigmas
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.sensors import SimulatedDepthCamera
 from calibration.robot.simulation.system import MotionRanges, System, read_system
 from tests.robot.simulation.conftest import DATASETS, FREE, SYSTEMS, corner_views, detects
-from tests.robot.simulation.motion.other_choices import at_random, spread
+from tests.robot.simulation.other_choices import at_random, spread
 
 
 def test_drawn_poses_keep_to_the_ranges(systems: dict[str, System]) -> None:
@@ -204,8 +203,8 @@ def test_the_same_seed_gives_the_same_motion(systems: dict[str, System], name: s
 GENERATE = """
 import json, sys
 from pathlib import Path
-from calibration.robot.simulation.motion.generation import generate_motion
-from calibration.robot.simulation.motion.sequence import motion_document
+from calibration.robot.simulation.motion_generation import generate_motion
+from calibration.robot.simulation.motion import motion_document
 from calibration.robot.simulation.system import read_system
 for folder in sys.argv[1:]:
     print(json.dumps(motion_document(generate_motion(read_system(Path(folder)), 12, 1))))

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.robot.simulation.motion.generation import is_clear
-from calibration.robot.simulation.motion.sequence import Motion
-from calibration.robot.simulation.placement import place
+from calibration.robot.simulation.kinematics import place
+from calibration.robot.simulation.motion import Motion
+from calibration.robot.simulation.motion_generation import is_clear
 from calibration.robot.simulation.scene import Box, Scene
 from calibration.robot.simulation.system import System
 from calibration.robot.urdf import compose

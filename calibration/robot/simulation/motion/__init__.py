@@ -1,1 +1,0 @@
-"""Motion sequences: read and written in the format of ATOM's recorder, and generated from a seed."""
