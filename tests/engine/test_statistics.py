@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from calibration.engine.statistics import (
     FAMILY_WISE,
-    MIN_NUMBERS_TO_NARROW,
     median,
     score_of_tail,
     threshold,
@@ -20,15 +19,13 @@ NUMBERS = {
     "one": np.ones(1),
     "two": np.array([3.0, 1.0]),
     "odd": RNG.normal(size=(7, 11)),
-    "many": RNG.chisquare(2, 3 * MIN_NUMBERS_TO_NARROW),
-    "many, even": RNG.normal(size=2 * MIN_NUMBERS_TO_NARROW + 2),
-    "ties": RNG.integers(0, 3, 2 * MIN_NUMBERS_TO_NARROW).astype(float),
-    "all equal": np.full(2 * MIN_NUMBERS_TO_NARROW, 0.25),
-    "sorted": np.arange(2 * MIN_NUMBERS_TO_NARROW + 1.0),
-    "outliers": np.where(RNG.random(2 * MIN_NUMBERS_TO_NARROW) < 0.49, 1e12, RNG.random(2 * MIN_NUMBERS_TO_NARROW)),
-    "sampled badly": np.where(
-        np.arange(2 * MIN_NUMBERS_TO_NARROW) % 50 == 0, 100.0, RNG.random(2 * MIN_NUMBERS_TO_NARROW)
-    ),
+    "many": RNG.chisquare(2, 3 * 10_000),
+    "many, even": RNG.normal(size=2 * 10_000 + 2),
+    "ties": RNG.integers(0, 3, 2 * 10_000).astype(float),
+    "all equal": np.full(2 * 10_000, 0.25),
+    "sorted": np.arange(2 * 10_000 + 1.0),
+    "outliers": np.where(RNG.random(2 * 10_000) < 0.49, 1e12, RNG.random(2 * 10_000)),
+    "sampled badly": np.where(np.arange(2 * 10_000) % 50 == 0, 100.0, RNG.random(2 * 10_000)),
 }
 
 

@@ -316,9 +316,9 @@ class CalibrationDocuments:
             ),
             parameters=tuple(_calibrated_parameters(calibration)),
             lens_correlations={name: _lens_correlations(each) for name, each in calibration.intrinsics.items()},
-            rms_px=_significant_or_none(rms_px, 6),
-            noise=NoiseLevels(**{k: _significant_value(v, 4) for k, v in noise.items()}),
-            effective_collections=_significant_value(bars.effective_collections, 3) if bars else None,
+            rms_px=None if rms_px is None else significant_value(rms_px, 6),
+            noise=NoiseLevels(**{k: significant_value(v, 4) for k, v in noise.items()}),
+            effective_collections=significant_value(bars.effective_collections, 3) if bars else None,
             rejected_labels=len(calibration.rejected),
             iterations=calibration.iterations,
         )
@@ -420,8 +420,8 @@ def _calibrated_pose(calibration: Calibration, edge: Edge, T: Array, sensor: str
         _significant_values(np.degrees(sigmas[3:]), 4),
         _round_values(np.clip(correlation[np.tril_indices(6, -1)], -1, 1), 5),
         held,
-        _significant_value(calibration.label_sigma_mm(edge), 4),
-        _significant_value(float(np.degrees(1e-3 * calibration.label_sigma_mrad(edge))), 4),
+        significant_value(calibration.label_sigma_mm(edge), 4),
+        significant_value(float(np.degrees(1e-3 * calibration.label_sigma_mrad(edge))), 4),
     )
 
 
@@ -445,7 +445,7 @@ def _relevant_moves(moves: Array, C: Array) -> tuple[tuple[float, ...], ...]:
 
 def _calibrated_parameters(calibration: Calibration) -> Iterator[CalibratedParameter]:
     for name, joint in calibration.joints.items():
-        yield from _parameters_of(name, joint, tuple(_significant_value(v, 4) for v in joint.label_sigmas))
+        yield from _parameters_of(name, joint, tuple(significant_value(v, 4) for v in joint.label_sigmas))
     for name, camera in calibration.intrinsics.items():
         yield from _parameters_of(name, camera, (None,) * len(camera.parameters))
 
@@ -455,9 +455,7 @@ def _parameters_of(
 ) -> Iterator[CalibratedParameter]:
     rows = zip(found.parameters, found.values.tolist(), found.units, found.sigmas.tolist(), of_labels, strict=True)
     for parameter, value, unit, sigma, own in rows:
-        yield CalibratedParameter(
-            name, parameter, _significant_value(value, 12), unit, _significant_value(sigma, 4), own
-        )
+        yield CalibratedParameter(name, parameter, significant_value(value, 12), unit, significant_value(sigma, 4), own)
 
 
 def _lens_correlations(found: CalibratedIntrinsics) -> tuple[float, ...]:
@@ -497,7 +495,7 @@ def _median_extents(dataset: Dataset) -> dict[str, float]:
             found.setdefault(sensor, []).append(float(np.linalg.norm(np.ptp(label.pixels, axis=0))))
         elif isinstance(label, PointLabels) and len(label.points):
             found.setdefault(sensor, []).append(float(np.linalg.norm(np.median(label.points, axis=0))))
-    return {name: _significant_value(float(np.median(values)), 4) for name, values in sorted(found.items())}
+    return {name: significant_value(float(np.median(values)), 4) for name, values in sorted(found.items())}
 
 
 def _round_values(values: Array, digits: int) -> tuple[float, ...]:
@@ -506,12 +504,9 @@ def _round_values(values: Array, digits: int) -> tuple[float, ...]:
 
 def _significant_values(values: Array, digits: int) -> tuple[float, ...]:
     """Round to a number of significant digits, and to 1e-9."""
-    return tuple(round(_significant_value(float(v), digits), 9) + 0.0 for v in values)
+    return tuple(round(significant_value(float(v), digits), 9) + 0.0 for v in values)
 
 
-def _significant_value(value: float, digits: int) -> float:
+def significant_value(value: float, digits: int) -> float:
+    """Round to a number of significant digits."""
     return float(f"{value:.{digits}g}")
-
-
-def _significant_or_none(value: float | None, digits: int) -> float | None:
-    return None if value is None else _significant_value(value, digits)

@@ -37,6 +37,7 @@ from calibration.engine.baseline.calibration_document import (
     CalibratedParameter,
     CalibratedPose,
     CalibrationDocument,
+    significant_value,
 )
 from calibration.engine.geometry.transforms import local, retract
 from calibration.engine.statistics import (
@@ -317,18 +318,18 @@ def _compare_mount(name: str, robots: Sequence[str], poses: Sequence[CalibratedP
     own = np.sqrt(np.diagonal(C, axis1=1, axis2=2).reshape(-1, 2, 3).sum(axis=2))
     return MountOfFleet(
         name=name,
-        fleet_sigma_mm=_round_significant(1e3 * spreads[0]),
-        fleet_sigma_deg=_round_significant(math.degrees(spreads[1])),
+        fleet_sigma_mm=significant_value(1e3 * spreads[0], 4),
+        fleet_sigma_deg=significant_value(math.degrees(spreads[1]), 4),
         robots=tuple(
             MountOfRobot(
                 robot=robot,
                 name=name,
-                mm=_round_significant(1e3 * sizes[i, 0]),
-                deg=_round_significant(math.degrees(sizes[i, 1])),
-                sigma_mm=_round_significant(1e3 * own[i, 0]),
-                sigma_deg=_round_significant(math.degrees(own[i, 1])),
-                sigmas_translation=_round_significant(math.sqrt(translations[i])),
-                sigmas_rotation=_round_significant(math.sqrt(rotations[i])),
+                mm=significant_value(1e3 * sizes[i, 0], 4),
+                deg=significant_value(math.degrees(sizes[i, 1]), 4),
+                sigma_mm=significant_value(1e3 * own[i, 0], 4),
+                sigma_deg=significant_value(math.degrees(own[i, 1]), 4),
+                sigmas_translation=significant_value(math.sqrt(translations[i]), 4),
+                sigmas_rotation=significant_value(math.sqrt(rotations[i]), 4),
                 outlier=not (near[i] and turned_little[i]),
             )
             for i, robot in enumerate(robots)
@@ -378,7 +379,3 @@ def _distances_from_others(x: Array, C: Array, usual: BoolArray) -> tuple[Array,
     V = (1 + 1 / m)[:, None, None] * S_of_others + larger
     squared: Array = (d * np.linalg.solve(V, d[:, :, None])[:, :, 0]).sum(axis=1)
     return squared, np.asarray(m - 1.0, dtype=np.float64)
-
-
-def _round_significant(value: float) -> float:
-    return float(f"{value:.4g}")

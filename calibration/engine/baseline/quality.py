@@ -239,16 +239,15 @@ def promise_not_kept(before: CalibrationDocument, now: CalibrationDocument, sinc
             reached = _reached(now, name).get(unit)
             if reached is None or max(reached, promised) <= MAX_OFF * min(reached, promised):
                 continue
+            why = "better than that"
+            if reached > promised:
+                why = "were they the poses that were advised, and are light and focus the same?"
             text = (
                 f"{name} has {reached:.2g} {unit}, and {promise.poses} further poses were expected to bring it to "
-                f"{promised:.2g} {unit} ({since}): {_why(reached > promised)}"
+                f"{promised:.2g} {unit} ({since}): {why}"
             )
             severity: Severity = "warning" if reached > promised else "note"
             yield Finding("baseline-quality", severity, text, (name,), value=reached, unit=unit)
-
-
-def _why(worse: bool) -> str:
-    return "were they the poses that were advised, and are light and focus the same?" if worse else "better than that"
 
 
 def _reached(now: CalibrationDocument, name: str) -> dict[str, float]:

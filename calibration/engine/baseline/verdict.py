@@ -106,7 +106,8 @@ def _on_other_data(
     if change.p >= comparison.significance:
         return None
     moved = "has moved" if change.kind == "pose" else "has changed"
-    chance = f"p {_probability_text(change.p)} that this is chance"
+    p = f"< {LEAST_P:.0e}" if change.p < LEAST_P else f"= {change.p:.1g}"
+    chance = f"p {p} that this is chance"
     text = f"{change.name} {moved} since {since}: {size_of_change(change)}; {chance}"
     harmless = change.kind == "pose" and change.mm <= settings.translation_mm and change.deg <= settings.rotation_deg
     if harmless:
@@ -187,10 +188,6 @@ def _sigmas_text(sigmas: float) -> str:
     if sigmas >= 1e6:
         return "with no error bar"
     return f"{rounded(sigmas, 2)} standard deviations"
-
-
-def _probability_text(p: float) -> str:
-    return f"< {LEAST_P:.0e}" if p < LEAST_P else f"= {p:.1g}"
 
 
 def software_against_baseline(accepted: Accepted, now: SoftwareStart, data: str) -> tuple[Finding, ...]:

@@ -206,13 +206,10 @@ def _why_not_pattern(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> str 
     path = dataset.tree.path(sensor.calibration_parent, pattern.parent_link)
     if sensor.edge in ((step.parent, step.child) for step in path):
         return f"it needs an arm between camera and pattern, and '{pattern.name}' is carried by '{sensor.name}'"
-    if not _does_move(dataset.transform(sensor.calibration_parent, pattern.parent_link)):
+    T = dataset.transform(sensor.calibration_parent, pattern.parent_link)
+    if len(T) > 1 and max(float(values.max()) for values in distance(T[:1], T)) <= 1e-6:
         return f"it needs an arm, and nothing moves between '{sensor.calibration_parent}' and '{pattern.parent_link}'"
     return None
-
-
-def _does_move(T: Array) -> bool:
-    return len(T) < 2 or any(float(values.max()) > 1e-6 for values in distance(T[:1], T))
 
 
 def calibrate_arm(dataset: Dataset, solve: Solver) -> Dataset:

@@ -209,7 +209,10 @@ def parse_configuration(node: Node) -> Configuration:
         patterns=patterns,
         anchored_sensor=(anchored and anchored.value) or None,
         additional_tfs={name: read_links(entry) for name, entry in additional.items()} if additional else {},
-        joints={name: _calibrated_parameters(entry) for name, entry in joints.items()} if joints else {},
+        joints={
+            name: tuple(element.name() for element in entry["params_to_calibrate"].elements())
+            for name, entry in (joints.items() if joints else ())
+        },
         description_file=_text_or_empty(node, "description_file"),
         bag_file=_text_or_empty(node, "bag_file"),
         package_name=_text_or_empty(node, "package_name"),
@@ -324,10 +327,6 @@ def read_links(node: Node) -> Edge:
         InputError: a name is missing.
     """
     return (node["parent_link"].name(), node["child_link"].name())
-
-
-def _calibrated_parameters(node: Node) -> tuple[str, ...]:
-    return tuple(element.name() for element in node["params_to_calibrate"].elements())
 
 
 def _flag_or_false(node: Node, key: str) -> bool:

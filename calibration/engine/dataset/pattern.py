@@ -201,13 +201,12 @@ def with_explicit_geometry(pattern: Pattern, node: Node) -> Pattern:
         pattern = replace(pattern, corners=_corners_by_id(corners))
     if frame and (border := frame.get("corners")):
         pattern = replace(
-            pattern, outline=np.array([[_bounded_coordinate(border[c][axis]) for axis in "xy"] for c in BORDER_CORNERS])
+            pattern,
+            outline=np.array(
+                [[border[c][axis].within(-MAX_COORDINATE, MAX_COORDINATE) for axis in "xy"] for c in BORDER_CORNERS]
+            ),
         )
     return pattern
-
-
-def _bounded_coordinate(node: Node) -> float:
-    return node.within(-MAX_COORDINATE, MAX_COORDINATE)
 
 
 def _corners_by_id(node: Node) -> Array:

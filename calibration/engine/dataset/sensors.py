@@ -67,15 +67,12 @@ def read_sensors(node: Node, configuration: Mapping[str, SensorConfiguration]) -
             calibration_parent=entry["calibration_parent"].value,
             calibration_child=entry["calibration_child"].value,
             camera=(camera := read_camera(entry["camera_info"]) if modality.has_intrinsics else None),
-            uncertainty=_read_uncertainty(entry["camera_info"], camera) if camera else None,
+            uncertainty=read_uncertainty(known, camera.parameters)
+            if camera and (known := entry["camera_info"].get(UNCERTAINTY_KEY))
+            else None,
             lag=lag.within(-MAX_LAG, MAX_LAG) if (lag := entry.get(LAG_KEY)) else 0.0,
         )
     return sensors
-
-
-def _read_uncertainty(info: Node, camera: Camera) -> LensUncertainty | None:
-    found = info.get(UNCERTAINTY_KEY)
-    return None if found is None else read_uncertainty(found, camera.parameters)
 
 
 def read_camera(info: Node) -> Camera:

@@ -76,7 +76,9 @@ def wrong_scale(dataset: Dataset, options: Options) -> float | None:
 
     What is near 1, or does not fit either, is not the reason why nothing is determined.
     """
-    if options.scale == "free" or not _has_poses(dataset):
+    if options.scale == "free" or not any(
+        isinstance(label, PoseLabels) for c in dataset.collections for label in c.labels.values()
+    ):
         return None
     try:
         _, factor = with_free_scale(dataset, options)
@@ -126,11 +128,6 @@ def divided(dataset: Dataset, factor: float) -> Dataset:
         replace(c, labels={key: scaled(label) for key, label in c.labels.items()}) for c in dataset.collections
     )
     return replace(dataset, collections=collections)
-
-
-def _has_poses(dataset: Dataset) -> bool:
-    """Whether any label is a measured pose."""
-    return any(isinstance(label, PoseLabels) for c in dataset.collections for label in c.labels.values())
 
 
 def unknown_scale(dataset: Dataset, factor: float) -> UndeterminedError:

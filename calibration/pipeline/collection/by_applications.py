@@ -44,7 +44,7 @@ from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
 from calibration.robot.simulation.dataset_folder import replacing_dataset, truth_document
 from calibration.robot.simulation.kinematics import play
-from calibration.robot.simulation.motion import GENERATED_PREFIX, Motion, check_motion, motion_document, player_file
+from calibration.robot.simulation.motion import GENERATED_PREFIX, PLAYER_FILE, Motion, check_motion, motion_document
 from calibration.robot.simulation.motion_generation import named_motion
 from calibration.robot.simulation.proof import prove
 from calibration.robot.simulation.record import Record, image_cells, write_contact_sheet
@@ -144,7 +144,7 @@ def write_inputs(folder: Path, plan: ApplicationPlan) -> Path | None:
         return None
     write_document(motion_document(plan.motion), folder / PurePosixPath(MOTION_PATH).name)
     if plan.request.applications.player is not None:
-        write_atomically(folder / PurePosixPath(PLAYER_PATH).name, player_file().read_bytes())
+        write_atomically(folder / PurePosixPath(PLAYER_PATH).name, PLAYER_FILE.read_bytes())
     return folder
 
 

@@ -86,17 +86,14 @@ def candidates_of(
     """
     random = np.random.default_rng(seed)
     dataset = calibration.solution.dataset
-    boards = [p for p in dataset.patterns.values() if not p.fixed and _is_seen(dataset, p)]
+    seen = {name for collection in dataset.collections for name, _ in collection.labels}
+    boards = [pattern for pattern in dataset.patterns.values() if not pattern.fixed and pattern.name in seen]
     if boards:
         drawn, sources = _by_hand(dataset, boards, DRAWN * count, random)
         found = PoseCandidates(drawn, sources, {}, tuple(board.edge for board in boards), True, ())
     else:
         found = _by_robot(dataset, robot, DRAWN * count, random)
     return _seen(dataset, found, count)
-
-
-def _is_seen(dataset: Dataset, pattern: Pattern) -> bool:
-    return any(name == pattern.name for collection in dataset.collections for name, _ in collection.labels)
 
 
 def _copies(dataset: Dataset, sources: IntArray) -> Dataset:

@@ -213,19 +213,9 @@ def _round_numbers(values: Array) -> Array:
     return np.round(values, POSE_DECIMALS) + 0.0  # no negative zeros
 
 
-PLAYER_FILES: Mapping[str, str] = {"ros1": "ros1_player.py"}
-"""File of each player, by name."""
-
-
-def player_file(name: str = "ros1") -> Path:
-    """Return the path of a player, a single file without dependencies.
-
-    Raises:
-        InputError: there is no such player.
-    """
-    if name not in PLAYER_FILES:
-        raise InputError(f"player: found '{name}', expected {' or '.join(PLAYER_FILES)}")
-    return Path(__file__).parent / PLAYER_FILES[name]
+PLAYER_FILE = Path(__file__).parent / "ros1_player.py"
+"""Player that moves the pattern in a team's own simulation: a single file, which runs in the team's image, without this
+package; it requests the robot to save each pose."""
 
 
 def check_motion(motion: Motion) -> None:

@@ -154,16 +154,11 @@ class Scene:
             origin: (..., 3) in the world frame; broadcasts against the directions' batch axes.
             directions: (..., 3), of any length but 0.
         """
-        origins = np.moveaxis(np.asarray(origin, float), -1, 0)
         rays = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
-        nearest = np.full(directions.shape[:-1], np.inf)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            for _, distance in self._surface_distances(origins, rays):
-                nearest = np.fmin(nearest, distance)
-        return nearest
+        return self.hit(np.moveaxis(np.asarray(origin, float), -1, 0), rays)[0]
 
     def hit(self, origin: Array, rays: Array) -> tuple[Array, IntArray]:
-        """Intersect rays (3, ...) from one point (3,) in the world frame.
+        """Intersect rays (3, ...) from one point (3,), or from one each, in the world frame.
 
         Returns:
             The distances (...) as in `cast`, and the surface (...): the index of a box, `GROUND_SURFACE` or
@@ -180,7 +175,8 @@ class Scene:
     def _surface_distances(self, origins: Array, rays: Array) -> Iterator[tuple[int, Array]]:
         """Yield index and distances of the ground, if there is one, and of every box; coordinates on the first axis."""
         if self.ground is not None:
-            yield GROUND_SURFACE, cast_at_ground(self.ground, origins, rays)
+            t = (self.ground - origins[2]) / rays[2]
+            yield GROUND_SURFACE, np.where(t > 0, t, np.inf)
         for index, box in enumerate(self.boxes):
             yield index, _cast_at_box(box, origins, rays)
 
@@ -198,12 +194,6 @@ class Scene:
             local = apply(inverse(box.T_world_box), points)
             inside |= (np.abs(local) < box.size / 2 + clearance).all(-1)
         return inside
-
-
-def cast_at_ground(height: float, origins: Array, rays: Array) -> Array:
-    """Return the distances to the ground, infinite for rays that miss it; coordinates are on the first axis."""
-    t = (height - origins[2]) / rays[2]
-    return np.where(t > 0, t, np.inf)
 
 
 def _cast_at_box(box: Box, origins: Array, rays: Array) -> Array:

@@ -21,7 +21,7 @@ from calibration.base.records import Converted, Place, between, field, read, rea
 from calibration.engine.dataset.configuration import Configuration, SensorConfiguration, read_configuration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.pattern import Pattern
-from calibration.engine.geometry.frames import JOINT_PARAMETERS, JointParameter
+from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.robot.robot_description import ENDING, NO_INPUTS, XacroInputs, read_robot_description
 from calibration.robot.simulation.scene import MAX_BYTES, Board, Pose, Scene, degrees, listed, rising
 from calibration.robot.simulation.sensors import (
@@ -197,7 +197,8 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
     place = Place(str(simulation_path), folder=folder)
     document = read_yaml(simulation_path, "the description of a simulation")
     simulation = read(Simulation, document, place.where, place.folder)
-    sources = {ROBOT_FILE: read_robot_description(robot_path, _xacro_inputs(robot_path, simulation))} | {
+    inputs = simulation.xacro if robot_path.name.endswith(ENDING) else NO_INPUTS  # a URDF may be kept of a xacro
+    sources = {ROBOT_FILE: read_robot_description(robot_path, inputs)} | {
         name: read_bytes(path, MAX_BYTES, "a file of the system")
         for name, path in (
             (CONFIGURATION_FILE, configuration_path),
@@ -224,15 +225,13 @@ def read_system(folder: Path, robot: Path | None = None, configuration: Path | N
         bows={name: printed.bow for name, printed in simulation.patterns.items()},
         legacy_layouts=frozenset(name for name, printed in simulation.patterns.items() if printed.legacy_layout),
         sway=simulation.motion.sway,
-        joint_errors={name: _nonzero_errors(own) for name, own in simulation.joints.items()},
+        joint_errors={
+            name: {parameter: own[parameter] for parameter in JOINT_PARAMETERS if own.get(parameter)}
+            for name, own in simulation.joints.items()
+        },
     )
     _check_against_robot(system, configuration_path)
     return system
-
-
-def _xacro_inputs(robot: Path, simulation: Simulation) -> XacroInputs:
-    """Return what the expansion of a robot needs; nothing for a URDF, such as the one that is kept of a xacro."""
-    return simulation.xacro if robot.name.endswith(ENDING) else NO_INPUTS
 
 
 def _robot_file(folder: Path) -> Path:
@@ -257,11 +256,6 @@ def _simulated_sensor(
         raise InputError(f"{where}: found '{sensor.modality}', expected {', '.join(others)} or {last}")
     found: SimulatedSensor = read_as(SIMULATED_SENSORS[sensor.modality], sensors[sensor.name], place.below(sensor.name))
     return found
-
-
-def _nonzero_errors(own: Mapping[JointParameter, float]) -> dict[JointParameter, float]:
-    """Return the errors that are not 0, in the order of `JOINT_PARAMETERS`."""
-    return {parameter: own[parameter] for parameter in JOINT_PARAMETERS if own.get(parameter)}
 
 
 def _check_against_robot(system: System, path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from calibration.robot.simulation.motion import player_file
+from calibration.robot.simulation.motion import PLAYER_FILE
 from tests.docker_engine import wait_until
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def ros(engine: "DockerClient", base_image: str) -> "Iterator[Container]":
             }
             for number, pose in enumerate(POSES)
         }
-        put(container, "player.py", player_file().read_bytes())
+        put(container, "player.py", PLAYER_FILE.read_bytes())
         put(container, "system.py", Path(__file__).with_name("system.py").read_bytes())
         put(container, "motion.json", json.dumps(motion).encode())
         wait_until(lambda: b"started core service" in container.logs(), "a master")

@@ -135,13 +135,9 @@ class _Sphere(_Wide):
         with np.errstate(all="ignore"):  # no inverse exists beyond some radius
             t = self._angle(radius)
             found = self.sees(np.cos(t))
-            grow = np.where(found, np.where(radius > 0, t / np.where(radius > 0, radius, 1.0), self._on_axis), np.nan)
+            on_axis, _ = self._depth_and_slope(np.ones(1))  # ratio of t to r(t), which is D there
+            grow = np.where(found, np.where(radius > 0, t / np.where(radius > 0, radius, 1.0), on_axis), np.nan)
         return x * grow, y * grow
-
-    @property
-    def _on_axis(self) -> Array:
-        """Ratio of t to r(t) on the axis, where it is D."""
-        return self._depth_and_slope(np.ones(1))[0]
 
     def _scale_and_bend(self, t2: Array) -> tuple[Array, Array]:
         t = np.sqrt(t2)

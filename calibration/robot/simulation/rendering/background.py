@@ -64,8 +64,6 @@ _TILE_SIZE_M = 0.5
 _TILE_CONTRAST = 0.05
 _GROUND_COLOUR = (124.0, 128.0, 130.0)
 _HORIZON_COLOUR, _ZENITH_COLOUR = np.array([196.0, 192.0, 188.0]), np.array([188.0, 170.0, 152.0])
-_MAX_STORED_SHADES = 40_000
-"""Largest number of tiles whose shades are computed beforehand."""
 
 
 def colours(
@@ -91,9 +89,7 @@ def colours(
         elif index == GROUND_SURFACE:
             seen[:, where] = ground_colours(scene, origin, there, away)
         else:
-            box = scene.boxes[index]
-            only = _only_face(scene, box, origin)
-            seen[:, where] = _box_colours(scene, box, origin, there, away) if only is None else only
+            seen[:, where] = _box_colours(scene, scene.boxes[index], origin, there, away)
     return seen
 
 
@@ -111,7 +107,7 @@ def sky_colours(scene: Scene, directions: Array) -> Array:
 
 def ground_colours(scene: Scene, origin: Array, directions: Array, distance: Array) -> Array:
     """Return the ground's colours (3, N): tiles of slightly different brightness, uniform at a distance."""
-    brightness = _shades_of_tiles(*(_tile_indices(origin[axis], directions[axis], distance) for axis in range(2)))
+    brightness = _shade_of_tile(*(_tile_indices(origin[axis], directions[axis], distance) for axis in range(2)))
     brightness *= _TILE_CONTRAST
     fading = distance / 10
     fading *= fading
@@ -122,28 +118,13 @@ def ground_colours(scene: Scene, origin: Array, directions: Array, distance: Arr
     return np.asarray(brightness * np.array(_GROUND_COLOUR)[:, None])
 
 
-def _tile_indices(start: float, directions: Array, distance: Array) -> Array:
+def _tile_indices(start: float, directions: Array, distance: Array) -> IntArray:
     """Return the indices (N,) of the tiles along an axis of the world, limited to a million."""
     place = distance * directions
     place += start
     place *= 1 / _TILE_SIZE_M
     np.clip(place, -1e6, 1e6, out=place)
-    return np.floor(place, out=place)
-
-
-def _shades_of_tiles(column: Array, row: Array) -> Array:
-    """Return the shades (N,) of tiles at whole columns and rows (N,), -1 to 1."""
-    left, top, right, bottom = column.min(), row.min(), column.max(), row.max()
-    width, height = right - left + 1, bottom - top + 1
-    if width * height > _MAX_STORED_SHADES:
-        return _shade_of_tile(column.astype(np.int64), row.astype(np.int64))
-    table = _shade_of_tile(
-        np.arange(left, right + 1).astype(np.int64), np.arange(top, bottom + 1).astype(np.int64)[:, None]
-    )
-    index = row * width
-    index += column
-    index -= top * width + left
-    return np.asarray(table.ravel().take(index.astype(np.int32)))
+    return np.floor(place, out=place).astype(np.int64)
 
 
 def _shade_of_tile(column: IntArray, row: IntArray) -> Array:
@@ -161,16 +142,6 @@ def _box_colours(scene: Scene, box: Box, origin: Array, directions: Array, dista
     axis = np.where(first, 0, np.where(second, 1, 2))
     towards = -np.sign(np.where(first, along[0], np.where(second, along[1], along[2])))  # also inside, to the viewer
     return np.asarray(face_colours(scene, box).take(3 * axis + 1 + towards.astype(np.int64), axis=1))
-
-
-def _only_face(scene: Scene, box: Box, origin: Array) -> Array | None:
-    """Return the colour (3, 1) of the only face of a box that is visible from a point; None if others are too."""
-    place = apply(inverse(box.T_world_box), origin[None])[0]
-    (outside,) = np.nonzero(np.abs(place) > box.size / 2)
-    if len(outside) != 1:
-        return None
-    face = 3 * outside[0] + 1 + int(np.sign(place[outside[0]]))
-    return face_colours(scene, box)[:, face : face + 1]
 
 
 def face_colours(scene: Scene, box: Box) -> Array:
