@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.rows import Bar, Row
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 
 DATASETS = Path(__file__).parents[1] / "datasets"

@@ -28,8 +28,7 @@ from calibration.engine.geometry.transforms import apply, inverse, translation
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.first_configuration import first_configuration
 from calibration.pipeline.matrix.cell_result import Cell
-from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import LoadedSystem, load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.robot.importing.bags.bag import open_bag
 from calibration.robot.importing.bags.messages import image_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import ALL_EXACT, Options
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import load
 from calibration.pipeline.next_poses import advise
 from calibration.pipeline.page.label_residuals import poses_in_image
 from calibration.pipeline.system import System

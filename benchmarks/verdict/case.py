@@ -28,8 +28,8 @@ from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.evaluation.truth import truth_error
 from calibration.engine.geometry.transforms import inverse, local
 from calibration.pipeline.matrix.cell_result import Cell, CellResult, nothing_yet
-from calibration.pipeline.matrix.cell_verdict import judge_cells
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.matrix import judge_cells
 from calibration.pipeline.matrix.running_cell import calibrate_cell, table_of
 
 BY_NAME: dict[str, Kind] = {kind.name: kind for kind in (CLEAN, *KINDS)}

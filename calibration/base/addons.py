@@ -39,7 +39,7 @@ class AddonStage(NamedTuple):
     """A stage of the pipeline, which runs if its section is in calibration.yml."""
 
     target: str
-    """``module:function`` from `Run` to `Run` (`calibration.pipeline.stages.running`)."""
+    """``module:function`` from `Run` to `Run` (`calibration.pipeline.running`)."""
     section: str
     """Its section of calibration.yml, and the key of its result in results.json."""
     result: DocumentSection

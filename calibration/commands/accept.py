@@ -14,9 +14,9 @@ from calibration.commands.parameters import TEXT_LIST, path, text
 from calibration.engine.baseline.document import read_baseline, write_baseline
 from calibration.pipeline.baselines import AcceptedSystems, accept
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
-from calibration.pipeline.matrix.cell_verdict import judge_results
+from calibration.pipeline.matrix.matrix import judge_results
 from calibration.pipeline.results import read_results
-from calibration.pipeline.stages.running import COLLECTED_FOLDER
+from calibration.pipeline.running import COLLECTED_FOLDER
 
 KEPT = of_addons(lambda addon: addon.keeps)
 """Options of add-ons."""

@@ -35,7 +35,7 @@ from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.matrix.software import Software, adjusted_software
 from calibration.pipeline.repetition.repetition import Repetitions
 from calibration.pipeline.repetition.running import repeat_stages
-from calibration.pipeline.stages import PipelineRun
+from calibration.pipeline.running import PipelineRun
 from calibration.pipeline.system import Noise, NoiseGrid, System, chosen_systems
 
 if TYPE_CHECKING:

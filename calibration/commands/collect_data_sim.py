@@ -27,7 +27,7 @@ from calibration.ci.workflow.streams import LogDisplay, progress
 from calibration.commands.parameters import chosen, find_system, given, option_keys, record_options, system_folder
 from calibration.commands.target import execution_target
 from calibration.pipeline.collection import report, scenario_report
-from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.report import COMMAND_NAME, collection_page, pose_line
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,

@@ -12,11 +12,10 @@ from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import DEFAULT_ARTIFACT_NAME, path, text
 from calibration.commands.parameters import artifact_name as artifact_name_type
-from calibration.pipeline.distribution.gathering import gather, report_of_run
-from calibration.pipeline.distribution.jobs import JOB_SUCCESS, cost_of_run, parse_needs, parse_seconds
-from calibration.pipeline.distribution.plan import name_folders_by_slug, read_plan
+from calibration.pipeline.gathering import JOB_SUCCESS, cost_of_run, gather, parse_needs, parse_seconds, report_of_run
 from calibration.pipeline.page.run_page import report_page
 from calibration.pipeline.results import PAGE_FILE, clear_results
+from calibration.pipeline.workflow_plan import name_folders_by_slug, read_plan
 
 
 @click.command("gather-results")

@@ -9,8 +9,7 @@ from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
 from calibration.commands.parameters import TEXT_LIST, count, integer, path
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
-from calibration.pipeline.next_poses import COUNT
-from calibration.pipeline.next_poses_report import advise_system, next_poses_report
+from calibration.pipeline.next_poses import COUNT, advise_system, next_poses_report
 
 MAX_POSES = 40
 """Limit of the poses that are advised."""

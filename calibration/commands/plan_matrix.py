@@ -24,14 +24,14 @@ from calibration.commands.parameters import (
     record_options,
 )
 from calibration.pipeline.configuration import DEFAULT_FILE, PipelineConfiguration, read_configuration
-from calibration.pipeline.distribution.plan import (
+from calibration.pipeline.system import Noise, System
+from calibration.pipeline.workflow_plan import (
     JobInputs,
     datasets_as_configuration,
     plan_jobs,
     plan_outputs,
     plan_text,
 )
-from calibration.pipeline.system import Noise, System
 
 
 def _inputs_of_other_jobs(command: Callable[..., ExitCode]) -> Callable[..., ExitCode]:

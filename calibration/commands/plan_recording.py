@@ -21,8 +21,7 @@ from calibration.commands.parameters import (
 )
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
-from calibration.pipeline.next_poses import plan
-from calibration.pipeline.next_poses_report import next_poses_report
+from calibration.pipeline.next_poses import next_poses_report, plan
 from calibration.robot.importing.printed_sheet import PAPER_SIZES_MM, board_sheet, pdf, svg
 from calibration.robot.simulation.system import read_system
 

@@ -17,7 +17,7 @@ from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.repetition.repetition import Repetitions
 from calibration.pipeline.repetition.running import repeat_stages
-from calibration.pipeline.stages import STAGES, PipelineRun
+from calibration.pipeline.running import STAGES, PipelineRun
 
 
 @record(kw_only=True)

@@ -17,16 +17,14 @@ SHIPPED_SCHEMAS = {
     "calibration.yml": SchemaFile(_PIPELINE_PACKAGE, "calibration.schema.json", "configuration:PipelineConfiguration"),
     "baseline": SchemaFile("calibration.engine.baseline", "baseline.schema.json", "document:Baseline"),
     "image": SchemaFile("calibration.ci.image", "image.schema.json", "specification:ImageDocument"),
-    "results": SchemaFile(
-        _PIPELINE_PACKAGE, _RESULTS_FILE, "distribution.gathering:RunResults", "calibrate-matrix and run"
-    ),
+    "results": SchemaFile(_PIPELINE_PACKAGE, _RESULTS_FILE, "gathering:RunResults", "calibrate-matrix and run"),
     "repeated-results": SchemaFile(
         f"{_PIPELINE_PACKAGE}.repetition", _RESULTS_FILE, "results:RepeatedResults", "repeated runs"
     ),
     "next-poses": SchemaFile(
         _PIPELINE_PACKAGE,
         "next_poses.schema.json",
-        "next_poses_report:NextPosesOfSystems",
+        "next_poses:NextPosesOfSystems",
         "next-pose and plan-recording",
     ),
     "convergence": SchemaFile(

@@ -5,7 +5,9 @@
 - ``collection``: simulated datasets, collected by our simulation or by the team's software, and judged;
 - ``convergence``: the matrix swept over the noise of the initial guess;
 - ``repetition``: a run, or a collection, several times: times, spreads, the first stage that differs, flakes;
-- ``results``: what a run has found; ``report``: its report, of ``report_blocks``; ``page``: the page;
+- ``results``: what a run has found; ``report``, ``report_tables``: its report; ``page``: the page;
 - ``baselines``: the accepted calibration that results are compared with, and its update;
-- ``stages``: the stages in order; ``distribution``: spread over the jobs of a workflow, and gathered again.
+- ``next_poses``: what to record next; ``watching``: a recording while it is made; ``history``: accepted calibrations;
+- ``running``: the stages in order; ``stages``: what each does;
+- ``workflow_plan``, ``gathering``: a run spread over the jobs of a workflow, and gathered again.
 """

@@ -24,7 +24,7 @@ from calibration.engine.estimation.start.lens_choice import LensChoice, with_cho
 from calibration.engine.estimation.start.single_views import noise_inside_views
 from calibration.engine.evaluation.specification import TABLE_KINDS, Suggestion
 from calibration.pipeline.matrix.cell_result import Cell, CellResult
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import load
 from calibration.pipeline.matrix.running_cell import calibrate_cell
 from calibration.pipeline.system import System
 

@@ -1,4 +1,4 @@
-"""What to record next for a calibration: poses that can be had, what they are expected to bring, and their files."""
+"""What to record next: poses that can be had, what they are expected to bring, their files, and the report on them."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -8,22 +8,29 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base import CalibrationError
+from calibration.base import CalibrationError, InputError
+from calibration.base.records import field, result
+from calibration.ci.pages.html import bullets, element, page, section
+from calibration.ci.report import Lines, Report, Table, shown
 from calibration.engine.dataset.model import Dataset
+from calibration.engine.diagnosis.diagnose import diagnose
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
 from calibration.engine.next_pose import Advice, Goal, next_poses
-from calibration.engine.tasks.task_errors import TaskError
-from calibration.pipeline.matrix.described_robot import described_robot
-from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.engine.tasks.task_errors import TaskError, task_errors
+from calibration.pipeline.matrix.loaded_system import LoadedSystem, described_robot, load
 from calibration.pipeline.matrix.next_poses_result import NextGoal, NextPose, NextPoses, NextView
+from calibration.pipeline.page.label_residuals import pose_figures
+from calibration.pipeline.results import PAGE_FILE
+from calibration.pipeline.system import System
 from calibration.robot.next_pose.candidates import PoseCandidates, candidates_of
 from calibration.robot.next_pose.plan import instruction, motion_of, patterns_in_view, plan_recording, poses_csv
 from calibration.robot.simulation.kinematics import place
 from calibration.robot.simulation.motion import motion_document
 from calibration.robot.simulation.motion_generation import is_clear
-from calibration.robot.simulation.system import SIMULATION_FILE, System, read_system
+from calibration.robot.simulation.system import SIMULATION_FILE, read_system
+from calibration.robot.simulation.system import System as SimulatedSystem
 
 MOTION_FILE, POSES_FILE = "next-poses.json", "next-poses.csv"
 COUNT = 3
@@ -37,7 +44,7 @@ class AdvisedPoses:
     found: NextPoses
     candidates: PoseCandidates
     chosen: tuple[int, ...]
-    system: System | None
+    system: SimulatedSystem | None
     recording: Dataset | None = None
     """The recording, with its images."""
 
@@ -84,7 +91,7 @@ def advise(
     return replace(described_advice(advice, candidates, system, remarks), recording=loaded.dataset)
 
 
-def plan(system: System, limits: Limits, options: Options, count: int | None, seed: int) -> AdvisedPoses:
+def plan(system: SimulatedSystem, limits: Limits, options: Options, count: int | None, seed: int) -> AdvisedPoses:
     """Return the poses of a recording that is planned; see `plan_recording`.
 
     Raises:
@@ -96,7 +103,7 @@ def plan(system: System, limits: Limits, options: Options, count: int | None, se
 def described_advice(
     advice: Advice,
     candidates: PoseCandidates,
-    system: System | None,
+    system: SimulatedSystem | None,
     remarks: tuple[str, ...] = (),
     planned: bool = False,
 ) -> AdvisedPoses:
@@ -144,7 +151,7 @@ def _rounded(values: Sequence[float]) -> tuple[float, ...]:
     return tuple(float(f"{value:.5g}") for value in values)
 
 
-def _without_collisions(candidates: PoseCandidates, system: System) -> PoseCandidates:
+def _without_collisions(candidates: PoseCandidates, system: SimulatedSystem) -> PoseCandidates:
     """Return those at which nothing collides in a simulation."""
     motion = motion_of(candidates, range(len(candidates)), system.T_model_pattern) if len(candidates) else None
     if motion is None:
@@ -156,9 +163,78 @@ def _without_collisions(candidates: PoseCandidates, system: System) -> PoseCandi
     return candidates.take(np.flatnonzero(free))
 
 
-def _simulated_with(folder: Path) -> System | None:
+def _simulated_with(folder: Path) -> SimulatedSystem | None:
     """Return what a dataset in a folder was simulated with; None if it was not, or that is not all there."""
     try:
         return read_system(folder) if (folder / SIMULATION_FILE).is_file() else None
     except CalibrationError:
         return None
+
+
+TITLE = "Next poses"
+
+
+@result
+class NextPosesOfSystems:
+    """Results of next-pose and plan-recording."""
+
+    systems: Mapping[str, NextPoses] = field("What to record next, by system.")
+
+
+def advise_system(system: System, count: int, seed: int) -> AdvisedPoses:
+    """Calibrate a configured system, and return what to record next for its limits.
+
+    Raises:
+        InputError: its dataset is collected in a run only, or cannot be calibrated.
+    """
+    if system.collected is not None:
+        raise InputError(f"{system.name}: its dataset is collected in each run: give the folder of a recording")
+    loaded = load(system)
+    calibration = loaded.prepared.optimum
+    if not calibration.converged:
+        raise InputError(f"{loaded.dataset.path}: no advice: it does not calibrate: {calibration.reason}")
+    tasks = task_errors(calibration, loaded.tasks)
+    advised = advise(calibration, loaded, tasks, count, seed)
+    found = diagnose(calibration, loaded.dataset, loaded.options, loaded.limits, loaded.truth is not None, tasks)
+    wrong = tuple(f"mend first: {each.text}" for each in found if each.severity == "red" and each.kind != "precision")
+    return replace(advised, found=replace(advised.found, remarks=(*wrong, *advised.found.remarks)))
+
+
+def next_poses_report(advised: Mapping[str, AdvisedPoses]) -> Report:
+    """Return the report of poses to take next, by system."""
+    alone = len(advised) == 1
+    files = {
+        name if alone else f"{system}-{name}": text_
+        for system, each in advised.items()
+        for name, text_ in each.files.items()
+    }
+    sections = [
+        section(system, bullets(each.found.lines), pose_figures(each, each.recording))
+        for system, each in advised.items()
+    ]
+    goals = Table(
+        ("System", "Limit of", "Limit", "Decided at", "Now", "At best"),
+        tuple(
+            (
+                system,
+                goal.name,
+                *(shown(v, ".3g", goal.unit) for v in (goal.limit, goal.wanted, goal.now, goal.least)),
+            )
+            for system, each in advised.items()
+            for goal in each.found.goals
+        ),
+    )
+    lines = tuple(line if alone else f"{name}: {line}" for name, each in advised.items() for line in each.found.lines)
+    return Report(
+        title=TITLE,
+        verdict="pass",
+        judges=False,
+        sentence="; ".join(
+            each.found.sentence if alone else f"{name}: {each.found.sentence}" for name, each in advised.items()
+        ),
+        results=NextPosesOfSystems({name: each.found for name, each in advised.items()}),
+        suites={},
+        outputs={},
+        blocks=(goals, Lines(lines, title="What to record")),
+        files={**files, PAGE_FILE: page(TITLE, [element("h1", TITLE), *sections])},
+    )

@@ -1,20 +1,26 @@
-"""Report of a pipeline: its verdict, tables and messages together, and its files."""
+"""Report of a pipeline: its verdict, tables and messages of one line each together, and its files."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from calibration.base import write_atomically
 from calibration.ci.execution.tasks import Task, cores, run_tasks
-from calibration.ci.report import Lines, Outcome, Report, Text, results_text
+from calibration.ci.report import Lines, Outcome, Report, Text, count_of, results_text
 from calibration.ci.report.blocks import BADGE_FILE as BADGE
 from calibration.ci.report.blocks import verdict_badge
-from calibration.pipeline import report_blocks
-from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.results import CELLS_FILE, Collected, PipelineResults, own_file
+from calibration.engine.baseline.quality import SameData
+from calibration.engine.baseline.verdict import exceeds
+from calibration.engine.diagnosis.finding import Severity
+from calibration.engine.evaluation.specification import FILES_WITHOUT_RMS
+from calibration.pipeline import report_tables
+from calibration.pipeline.matrix.cell_result import OUR_METHOD, REPROJECTION_FILE, CellResult
+from calibration.pipeline.results import CELLS_FILE, Collected, ImageResult, PipelineResults, own_file
 
 NOTES_SHOWN = 30
+NOT_CONVERGED = "it has not converged"
 CELLS_A_PROCESS = 50
 """Least number of cells whose files a process writes: in less time than one takes to begin."""
 
@@ -52,49 +58,49 @@ def report(results: PipelineResults, output: Path) -> Report:
         results: the results.
         output: the folder of the results.
     """
-    left_out = tuple(report_blocks.without_result(results))
+    left_out = tuple(without_result(results))
     numbers = results.summary.all
-    main = report_blocks.grid(results)
+    main = report_tables.grid(results)
     if len(results.cells) <= len(results.systems) and not results.comparisons:  # the overview has it
         main = replace(main, only="log")
     return Report(
         title="Calibration",
         verdict=results.verdict,
         error=results.exit_code,
-        sentence=report_blocks.verdict_sentence(results),
+        sentence=verdict_sentence(results),
         reasons=(
-            *report_blocks.failures(results),
+            *failures(results),
             *(results.baseline.reasons if results.baseline else ()),
             *(reason for each in results.exports for reason in each.reasons),
             *(reason for each in results.of_stages.all for reason in each.reasons),
         ),
-        undecided=tuple(report_blocks.undecided_limits(results, results.systems)),
+        undecided=tuple(undecided_limits(results, results.systems)),
         about=f"Commit {results.commit}" if results.commit else "",
-        warnings=(*report_blocks.findings_of(results, "warning"), *left_out),
+        warnings=(*findings_of(results, "warning"), *left_out),
         blocks=(
-            report_blocks.overview_table(results),
-            report_blocks.recordings_table(results),
+            report_tables.overview_table(results),
+            report_tables.recordings_table(results),
             main,
             Text(_UNDER_GRID if main.rows and main.only is None else "", only="summary"),
-            *map(Text, report_blocks.origin_of_rms(results)),
-            replace(report_blocks.truth_table(results), only="log"),
-            report_blocks.precision_table(results),
-            report_blocks.tasks_table(results),
-            Lines(tuple(report_blocks.other_methods(results)), only="summary"),
-            report_blocks.transforms_table(results),
-            report_blocks.cameras_table(results),
-            report_blocks.hangs_on_table(results),
-            report_blocks.parameters_table(results),
-            report_blocks.changes_table(results),
-            report_blocks.updates_table(results),
-            Text(report_blocks.baseline_line(results)),
-            Lines(tuple(report_blocks.lines_of_comment(results)), only="comment", brief=True),
-            report_blocks.collections_table(results),
-            Lines(tuple(report_blocks.what_to_record(results)), title="What to record next"),
-            Lines(report_blocks.findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
-            Lines(report_blocks.findings_of(results, "note"), NOTES_SHOWN, title="Notes"),
-            Lines(tuple(report_blocks.export_lines(results, output)), NOTES_SHOWN, title="For the robot"),
-            Text(report_blocks.image_line(results.image) if results.image else ""),
+            *map(Text, origin_of_rms(results)),
+            replace(report_tables.truth_table(results), only="log"),
+            report_tables.precision_table(results),
+            report_tables.tasks_table(results),
+            Lines(tuple(other_methods(results)), only="summary"),
+            report_tables.transforms_table(results),
+            report_tables.cameras_table(results),
+            report_tables.hangs_on_table(results),
+            report_tables.parameters_table(results),
+            report_tables.changes_table(results),
+            report_tables.updates_table(results),
+            Text(baseline_line(results)),
+            Lines(tuple(lines_of_comment(results)), only="comment", brief=True),
+            report_tables.collections_table(results),
+            Lines(tuple(what_to_record(results)), title="What to record next"),
+            Lines(findings_of(results, "warning"), NOTES_SHOWN, title="To look at", only="summary"),
+            Lines(findings_of(results, "note"), NOTES_SHOWN, title="Notes"),
+            Lines(tuple(export_lines(results, output)), NOTES_SHOWN, title="For the robot"),
+            Text(image_line(results.image) if results.image else ""),
             *(Text(each.line(output)) for each in results.of_stages.all),
             Lines(left_out, title="Methods without a result", only="summary"),
         ),
@@ -108,7 +114,7 @@ def report(results: PipelineResults, output: Path) -> Report:
             "worst-translation-mm": numbers.worst_translation_mm,
         },
         files={
-            CELLS_FILE: report_blocks.cells_table(results).csv(),
+            CELLS_FILE: report_tables.cells_table(results).csv(),
             BADGE: verdict_badge(results.verdict),
         },
     )
@@ -154,3 +160,199 @@ def _junit_suites(results: PipelineResults) -> dict[str, list[Outcome]]:
     suites = {s: [outcome(s, cell) for cell in results.cells if cell.system == s] for s in results.systems}
     collected = [outcome("collected", each) for each in results.collections]
     return suites | ({"collected": collected} if collected else {})
+
+
+def verdict_sentence(results: PipelineResults) -> str:
+    """Return the verdict in one line."""
+    done, failed = [], []
+    for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
+        verdicts = Counter(thing.verdict for thing in things)
+        count = count_of(len(things), what)
+        nothing = not results.has_verdict and results.image is None
+        counted = [(verdicts["fail"], "failed")] if verdicts["fail"] or (what == "cell" and nothing) else []
+        counted += [(verdicts["undecided"], "undecided")] if verdicts["undecided"] else []
+        if counted:
+            (number, word), *more = counted
+            failed += [f"{number} of {count} {word}", *(f"{number} {word}" for number, word in more)]
+        elif things:
+            done.append(f"{count} {verb}")
+    if results.image is not None and not results.judged:
+        done.append("the image is built" if results.image.built else "the image is there")
+    done += [stage.sentence for stage in results.of_stages.all]
+    return ", ".join((*failed, *done))
+
+
+def failures(results: PipelineResults) -> list[str]:
+    """Return the reasons of everything that failed, a line each, worst first."""
+    collected = [f"collected {each.name}: {reason}" for each in results.collections for reason in each.reasons]
+    return failures_of_cells(results, results.systems) + collected
+
+
+def failures_of_cells(results: PipelineResults, systems: Collection[str]) -> list[str]:
+    """Return the reasons of the cells of some systems that failed, a line each, worst first.
+
+    Equal reasons of several cells of a system are merged into one line; cells are named if there are several in all.
+    """
+    references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
+    lines = {
+        # Whose fault it is follows the first reason: GitHub shows nine annotations of a step.
+        cell.name: (*cell.reasons[:1], *_whose_fault(cell, references.get(cell.start_of_cell)), *cell.reasons[1:])
+        or (NOT_CONVERGED,)
+        for cell in results.cells
+        if cell.verdict == "fail" and cell.system in systems
+    }
+    return _lines_of_cells(results.cells, lines)
+
+
+def undecided_limits(results: PipelineResults, systems: Collection[str]) -> list[str]:
+    """Return a line for every undecided limit of the cells of some systems, likewise."""
+    lines = {
+        cell.name: [f"undecided: {why}" for why in cell.undecided] for cell in results.cells if cell.system in systems
+    }
+    return _lines_of_cells(results.cells, lines)
+
+
+def _lines_of_cells(cells: Sequence[CellResult], lines: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return the lines of cells, given by the cells' names, each once; of several cells with their names in front."""
+    alike: dict[tuple[str, str], list[CellResult]] = {}
+    for cell in cells:
+        for line in dict.fromkeys(lines.get(cell.name, ())):
+            alike.setdefault((cell.system, line), []).append(cell)
+    if len(cells) == 1:
+        return [line for _, line in alike]
+    starts = Counter(cell.system for cell in cells)
+    return [f"{_names_of_cells(same, starts[system])}: {line}" for (system, line), same in alike.items()]
+
+
+def _names_of_cells(alike: Sequence[CellResult], starts: int) -> str:
+    """Describe the cells of a system that have a line in common."""
+    first, more = alike[0], len(alike) - 1
+    if starts == 1:
+        return first.system
+    if len(alike) == starts:
+        return f"{first.system}, all {starts} starts"
+    return first.name if more == 0 else f"{first.name}, and {count_of(more, 'more start')}"
+
+
+def _whose_fault(cell: CellResult, reference: CellResult | None) -> tuple[str, ...]:
+    """Describe our engine's result, on the same data and initial guess, for a failed cell of the team's software."""
+    if reference is None or cell.error is not None:  # a failure of the container engine is not the software's fault
+        return ()
+    if reference.verdict != "fail":
+        rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
+        return (f"our engine passes on the same data from the same start{rms}: look at the software",)
+    why = next(iter(reference.reasons), NOT_CONVERGED)
+    return (f"our engine fails on the same data too ({why}): look at the data",)
+
+
+def findings_of(results: PipelineResults, severity: Severity) -> tuple[str, ...]:
+    """Return the findings of one severity, once per system, with the system in front if there are several."""
+    several = len({cell.system for cell in results.cells}) > 1
+    texts = (
+        f"{cell.system}: {finding.text}" if several else finding.text
+        for cell in results.cells
+        for finding in cell.uncontradicted_findings
+        if finding.severity == severity
+    )
+    return tuple(dict.fromkeys(texts))
+
+
+def origin_of_rms(results: PipelineResults) -> tuple[str, ...]:
+    """Describe the RMS of cells without a table, or with a table that has none: that of the calibration."""
+    names: dict[str, dict[str, None]] = {}
+    for cell in results.cells:
+        file = Path(cell.table).name if cell.table else ""
+        has_default_table = file == REPROJECTION_FILE and not (cell.details and cell.details.of_cameras_alone)
+        if has_default_table or (cell.rms_px is not None and cell.method == OUR_METHOD and file in FILES_WITHOUT_RMS):
+            names.setdefault(file, {})[cell.system] = None
+    which = "of all corners against where the calibration puts them"
+    between = "a table between two sensors is another number: evaluate: rgb-to-rgb:SOURCE:TARGET"
+    return tuple(
+        f"RMS of {', '.join(systems)}: {which}; {between if file == REPROJECTION_FILE else f'{file} has none'}"
+        for file, systems in names.items()
+    )
+
+
+def baseline_line(results: PipelineResults) -> str:
+    """Describe the systems compared with the baseline, and remarks on it."""
+    update = results.baseline
+    if update is None:
+        return ""
+    compared = "Nothing has changed since" if _equals_baseline(results) else "Compared with"
+    parts = [f"{compared} {update.since}: {', '.join(update.compared)}"] if update.compared else []
+    if update.not_accepted:
+        none = "no calibration accepted yet of" if parts else "No calibration accepted yet of"
+        parts.append(f"{none} {', '.join(update.not_accepted)}: calibration accept")
+    parts += [update.problem] if update.problem and not update.reasons else []
+    if update.unused:
+        parts.append(f"{update.file} has systems that are calibrated no more: {', '.join(update.unused)}")
+    return "; ".join(parts)
+
+
+def _equals_baseline(results: PipelineResults) -> bool:
+    """Whether every calibration equals the accepted one within the tolerances of a result on the same data."""
+    compared = results.baseline.compared if results.baseline else ()
+    cells = [cell for cell in results.cells if cell.system in compared]
+    return bool(cells) and all(_equals_accepted(cell) for cell in cells)
+
+
+def _equals_accepted(cell: CellResult) -> bool:
+    changes = cell.details.changes if cell.details else ()
+    differs = any(each.kind in ("added", "removed") or exceeds(each, SameData()) for each in changes)
+    named = any(each.kind in ("baseline", "baseline-quality") for each in cell.findings)
+    return bool(changes) and not differs and not named
+
+
+def lines_of_comment(results: PipelineResults) -> Iterator[str]:
+    """Yield what a comment says beside its tables: the accepted calibration, findings, time."""
+    if line := baseline_line(results):
+        yield line
+    warnings, notes = (findings_of(results, severity) for severity in ("warning", "note"))
+    if warnings or notes:
+        counted = f"Findings: {len(warnings)} to look at, {count_of(len(notes), 'note')}"
+        yield f"{counted}: {warnings[0]}" if warnings else counted
+    if results.cells:
+        seconds = sum(cell.seconds for cell in results.cells)
+        yield f"Time: {seconds:.1f} s of calibration in {count_of(len(results.cells), 'cell')}"
+
+
+def without_result(results: PipelineResults) -> list[str]:
+    """Return the reasons why other methods have no result, once for all cells; without our engine as a reference."""
+    return list(
+        dict.fromkeys(
+            f"{cell.system}, {cell.method}: {'; '.join(cell.reasons)}"
+            for cell in results.comparisons
+            if cell.reasons and cell.by_other_method
+        )
+    )
+
+
+def other_methods(results: PipelineResults) -> list[str]:
+    """Return the implementation used by each of the other methods, and the data if there is a choice."""
+    methods_by_detail: dict[str, dict[str, None]] = {}
+    for cell in results.comparisons:
+        if cell.detail is not None:
+            methods_by_detail.setdefault(f"{cell.system}: {cell.detail}", {})[cell.method] = None
+    return [f"{', '.join(methods)} on {detail}" for detail, methods in methods_by_detail.items()]
+
+
+def what_to_record(results: PipelineResults) -> Iterator[str]:
+    """Yield the poses to record next of each system with an undecided limit, and what they bring."""
+    for system, details in report_tables.best_details(results).items():
+        if details.next_poses is not None:
+            yield from (f"{system}: {line}" for line in details.next_poses.lines)
+
+
+def image_line(image: ImageResult) -> str:
+    """Describe the actions on the image."""
+    what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"
+    promoted = f"; promoted to {', '.join(image.promoted)}" if image.promoted else ""
+    return f"Image {image.reference}: {what}{promoted}"
+
+
+def export_lines(results: PipelineResults, output: Path) -> Iterator[str]:
+    """Yield the files of each export, and notes on them."""
+    for export in results.exports:
+        if export.files:
+            yield f"{output / export.folder}: {', '.join(export.files)}"
+        yield from (f"{export.system}: {note}" for note in export.notes)

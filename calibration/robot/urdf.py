@@ -26,6 +26,9 @@ from calibration.engine.geometry.frames import JOINT_PARAMETERS, FrameTree, Join
 from calibration.engine.geometry.transforms import from_xyz_rpy, inverse, transform, translation
 from calibration.robot.robot_description import NO_INPUTS, XacroInputs, read_robot_description
 
+ROBOT_FILE = "robot.urdf"
+"""Name of the description beside a dataset."""
+
 JointKind = Literal["fixed", "revolute", "continuous", "prismatic", "floating", "planar"]
 JOINT_KINDS: tuple[JointKind, ...] = get_args(JointKind)
 AXIS_KINDS: frozenset[JointKind] = frozenset(("revolute", "continuous", "prismatic"))

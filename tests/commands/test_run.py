@@ -76,7 +76,7 @@ def test_a_run_that_ends_early_leaves_no_pass_and_goes_on(
 
     with_systems(repository, "  riwbot:")
     with monkeypatch.context() as patch:
-        patch.setattr("calibration.pipeline.stages.calibrating.judge_results", stop)
+        patch.setattr("calibration.pipeline.stages.judge_results", stop)
         assert main(["run", "--only", "calibrate,introspect"]) == code
     found = json.loads((repository / "output" / "results.json").read_text())
     assert (found["verdict"], found["reasons"]) == ("fail", [f"the run ended early: {why}"])

@@ -15,8 +15,8 @@ from calibration.base import InputError
 from calibration.ci.registries.push import promote
 from calibration.ci.workflow import Runner
 from calibration.commands.plan_matrix import artifact_name
-from calibration.pipeline.distribution.jobs import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs
-from calibration.pipeline.distribution.plan import WorkflowPlan, plan_outputs
+from calibration.pipeline.gathering import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs
+from calibration.pipeline.workflow_plan import WorkflowPlan, plan_outputs
 from tests.actions.write_inputs import deprecated, options
 
 WORKFLOWS = Path(__file__).resolve().parents[2] / ".github" / "workflows"

@@ -14,9 +14,9 @@ from calibration.ci.workflow import Runner
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.report import report
-from calibration.pipeline.report_blocks import collections_table
+from calibration.pipeline.report_tables import collections_table
 from calibration.pipeline.results import SCHEMA_FILE, Collected, PipelineResults, read_results
-from calibration.pipeline.stages import PipelineRun, run_stages
+from calibration.pipeline.running import PipelineRun, run_stages
 from tests.pipeline.conftest import DATASETS
 from tests.pipeline.matrix.test_cell_verdict import CELL
 from tests.small import first_poses

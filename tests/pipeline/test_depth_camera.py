@@ -13,7 +13,7 @@ from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.evaluation.truth import find_truth
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import inverse
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.pipeline.conftest import DATASETS

@@ -16,7 +16,7 @@ from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.evaluation.truth import find_truth
 from calibration.engine.geometry.transforms import inverse
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults

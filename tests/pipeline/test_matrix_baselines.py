@@ -16,7 +16,8 @@ from calibration.engine.baseline.verdict import Accepted, against_baseline
 from calibration.pipeline.baselines import with_accepted
 from calibration.pipeline.matrix.cell_result import Details
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.report_blocks import baseline_line, changes_table
+from calibration.pipeline.report import baseline_line
+from calibration.pipeline.report_tables import changes_table
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid, System
 from tests.displaced import displace

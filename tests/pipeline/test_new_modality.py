@@ -16,7 +16,7 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.evaluation.truth import find_truth
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.simulation.sensors import SIMULATED_SENSORS, SimulatedLidar2d
 from calibration.robot.simulation.sensors.sensor import Data

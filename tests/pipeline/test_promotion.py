@@ -10,8 +10,8 @@ from calibration.ci.image.specification import ImageSpecification, OwnDockerfile
 from calibration.ci.workflow import Runner
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.results import Collected, ImageResult, PipelineResults
-from calibration.pipeline.stages import PipelineRun
-from calibration.pipeline.stages.building import promote_stage
+from calibration.pipeline.running import PipelineRun
+from calibration.pipeline.stages import promote_stage
 from calibration.pipeline.system import NoiseGrid
 
 SPECIFICATION = ImageSpecification(

@@ -15,15 +15,8 @@ from calibration.ci.workflow.runner import Level
 from calibration.engine.diagnosis.finding import Finding
 from calibration.pipeline.matrix.cell_result import CellResult, Details, Deviation, ParameterResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
-from calibration.pipeline.report import CELLS_A_PROCESS, report, write_cells, write_results
-from calibration.pipeline.report_blocks import (
-    failures,
-    findings_of,
-    grid,
-    parameters_table,
-    precision_table,
-    truth_table,
-)
+from calibration.pipeline.report import CELLS_A_PROCESS, failures, findings_of, report, write_cells, write_results
+from calibration.pipeline.report_tables import grid, parameters_table, precision_table, truth_table
 from calibration.pipeline.results import (
     SCHEMA_FILE,
     ImageResult,

@@ -48,7 +48,7 @@ from calibration.ci.workflow import Runner, annotate
 from calibration.commands.parameters import chosen, given, record_options
 
 if TYPE_CHECKING:  # the engine, which the command does without
-    from calibration.pipeline.stages.running import PipelineRun
+    from calibration.pipeline.running import PipelineRun
 
 _PACKAGE_OF_ANALYSER = {
     "cppcheck": "cppcheck-py",

@@ -47,9 +47,9 @@ from calibration.engine.baseline.verdict import exceeds
 from calibration.engine.dataset.model import Dataset, Edge
 from calibration.engine.geometry.rotations import to_quaternion
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.matrix.cell_verdict import judge_results
+from calibration.pipeline.matrix.matrix import judge_results
 from calibration.pipeline.results import PipelineResults, own_details
-from calibration.pipeline.stages.exporting import calibrated_dataset, files_for_robot
+from calibration.pipeline.stages import calibrated_dataset, files_for_robot
 from calibration.pipeline.system import Exports, System, chosen_systems
 from calibration.robot.exports import calibrated
 

@@ -18,7 +18,7 @@ from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import compare
 from calibration.engine.baseline.quality import SameData
 from calibration.engine.baseline.verdict import exceeds, size_of_change
-from calibration.pipeline.stages.exporting import CALIBRATION_FILE, ExportedCalibration
+from calibration.pipeline.stages import CALIBRATION_FILE, ExportedCalibration
 
 Level = Literal["none", "patch", "minor", "major"]
 FIRST_VERSION = "1.0.0"

@@ -51,7 +51,7 @@ from calibration.commands.parameters import (
 from calibration.engine.baseline.quality import BaselineSettings
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
 from calibration.pipeline.results import read_results
-from calibration.pipeline.stages.running import COLLECTED_FOLDER, PipelineRun
+from calibration.pipeline.running import COLLECTED_FOLDER, PipelineRun
 
 BUNDLE_TITLE = "bundle"
 TITLE = "deliver"

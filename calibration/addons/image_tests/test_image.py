@@ -35,7 +35,7 @@ from calibration.ci.workflow import Runner, annotate
 from calibration.ci.workflow.streams import LogDisplay, progress
 from calibration.commands.parameters import given, record_options
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.stages.running import PipelineRun
+from calibration.pipeline.running import PipelineRun
 
 _OWN_KEYS = (
     *("tool", "workspace", "arguments", "reports", "coverage", "coverage-files", "allow-no-tests", "repeat"),

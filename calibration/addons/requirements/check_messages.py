@@ -18,7 +18,7 @@ from calibration.ci.workflow import Runner, annotate
 from calibration.commands.parameters import chosen, record_options
 
 if TYPE_CHECKING:  # the engine, which the command does without
-    from calibration.pipeline.stages.running import PipelineRun
+    from calibration.pipeline.running import PipelineRun
 
 SECTION = "requirements"
 
@@ -119,7 +119,7 @@ def _recorded_bag(run: "PipelineRun", name: str) -> list[Path]:
     Raises:
         InputError: there is none.
     """
-    from calibration.pipeline.stages.running import COLLECTED_FOLDER  # the command does without the engine
+    from calibration.pipeline.running import COLLECTED_FOLDER  # the command does without the engine
 
     folder = run.output / COLLECTED_FOLDER / name / MESSAGES_FOLDER
     found = sorted([*folder.glob("*.bag"), *(file.parent for file in folder.glob("*/metadata.yaml"))])

@@ -86,7 +86,7 @@ class ApplicationPlan:
 
 
 def collect_by_applications(request: CollectionRequest, output: Path, overwrite: bool) -> CollectionResults:
-    """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
+    """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
 
     Raises:
         InputError: an input is missing or wrong, or the folder has a dataset that must not be overwritten.

@@ -68,7 +68,7 @@ PoseDone = Callable[[int, int, Record], None]
 def collect_by_simulation(
     request: CollectionRequest, output: Path, overwrite: bool, jobs: int | None, begin: Begin, done: PoseDone
 ) -> CollectionResults:
-    """Collect a dataset, like `calibration.pipeline.collection.dispatch.collect_dataset`.
+    """Collect a dataset, like `calibration.pipeline.collection.collecting.collect_dataset`.
 
     Raises:
         InputError: an input is wrong, or the folder has a dataset that must not be overwritten.

@@ -10,29 +10,22 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from calibration.base import InputError, did_you_mean
+from calibration.base.tables.table import read_table
+from calibration.base.tables.table_verdict import judge
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import Task, run_tasks
+from calibration.ci.report import at_most
+from calibration.engine.comparison import method_of
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.dataset.reading import read_dataset, refuse_changes
-from calibration.engine.diagnosis.copies import without_copies
-from calibration.engine.diagnosis.finding import Finding
+from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.start.guesses import StartingNoise
-from calibration.engine.estimation.start.lens_choice import with_chosen_lenses
-from calibration.engine.evaluation.truth import choose_truth
-from calibration.engine.tasks.placed_task import frames_of_task
-from calibration.engine.tasks.robot_task import RobotTask
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder
-from calibration.pipeline.matrix.cell_verdict import check_rules
-from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.running_cell import other_method, run_cell, run_comparison
+from calibration.pipeline.matrix.loaded_system import LoadedSystem, load
+from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.matrix.software import Software
+from calibration.pipeline.results import PipelineResults, without_verdicts
 from calibration.pipeline.system import NoiseGrid, System
-
-if TYPE_CHECKING:
-    from calibration.engine.evaluation.specification import Evaluation
 
 Done = Callable[[int, int, CellResult], None]
 """Callback after each task: number of finished tasks, number of all tasks, result."""
@@ -70,7 +63,7 @@ class Matrix:
             Comparison(system.name, method, noise)
             for system in self.systems
             for method in system.compare
-            for noise in (self._starting_noises if other_method(method).from_start else [None])
+            for noise in (self._starting_noises if method_of(method).from_start else [None])
         ]
 
     @property
@@ -186,95 +179,70 @@ def _software_tasks(
     return software_tasks(matrix.cells, loaded, matrix.software, output)
 
 
-def load(system: System) -> LoadedSystem:
-    """Read a system's data, and check its options.
+def judge_cells(cells: Sequence[CellResult], systems: Sequence[System], output: Path) -> tuple[CellResult, ...]:
+    """Return the cells with the reasons to fail by their system's rules and limits.
 
     Raises:
-        InputError: the dataset, the truth, the evaluation, a rule for its table, a comparison method or the
-            covariance of intrinsics is wrong; no lens model fits a camera.
+        InputError: a rule names a column or a row that the table of a cell lacks.
     """
-    dataset, copies = read_dataset(system.dataset), tuple[Finding, ...]()
-    if system.copies == "leave-out" and system.software is None:  # which is given the folder with all collections
-        dataset, copies = without_copies(dataset)
-    lenses = with_chosen_lenses(dataset, system.options)
-    dataset = lenses.dataset
-    truth = choose_truth(dataset, system.truth)
-    _check_methods(system)
-    evaluation = _evaluation_from(system.evaluate) if system.evaluate else None
-    for sensor in evaluation.sensors if evaluation else ():
-        if missing := sensor not in dataset.sensors and dataset.missing_files_of(sensor):
-            raise InputError(
-                f"evaluation '{evaluation}': {dataset.path}: {missing}; put them beside it, or evaluate other sensors"
-            )
-        if sensor not in dataset.sensors:
-            raise InputError(
-                f"evaluation '{evaluation}': {dataset.path} has no sensor '{sensor}'"
-                f"{did_you_mean(sensor, dataset.sensors)} (sensors: {', '.join(dataset.sensors)})"
-            )
-    tasks = _known_tasks(system, dataset)
-    options = replace(system.options, intrinsics_covariance=system.options.known_intrinsics())
-    loaded = LoadedSystem(
-        system.name,
-        dataset,
-        truth,
-        evaluation,
-        options,
-        system.judging_limits,
-        tasks,
-        system.datasets,
-        system.accepted,
-        copies,
-        lenses.choices,
-        system.exports,
+    by_name = {system.name: system for system in systems}
+    return tuple(_judge_cell(cell, by_name[cell.system], output) for cell in cells)
+
+
+def _judge_cell(cell: CellResult, system: System, output: Path) -> CellResult:
+    if cell.error is not None:
+        return cell
+    reasons = list(_over_limits(cell, system.limits))
+    if system.rules is not None:
+        if cell.table is None:
+            reasons.append("there is no table to judge")
+        else:
+            verdict = judge(read_table(output / cell.table), system.rules)
+            reasons += [violation.message for violation in verdict.violations]
+    return replace(cell, reasons=(*cell.reasons, *reasons), undecided_passes=system.undecided == "pass")
+
+
+def _over_limits(cell: CellResult, limits: Limits) -> list[str]:
+    """Return the limits that a cell exceeds; missing and infinite numbers do."""
+    truth = cell.truth
+    judged = [("RMS", cell.rms_px, limits.rms_px, "px")]
+    if truth is not None:  # without truth, suspects and standard deviations are judged instead (`diagnosis`)
+        judged += [
+            ("translation error against the truth", truth.translation_mm, limits.translation_mm, "mm"),
+            ("rotation error against the truth", truth.rotation_deg, limits.rotation_deg, "deg"),
+            ("joint translation error against the truth", truth.joint_mm, limits.joint_mm, "mm"),
+            ("joint rotation error against the truth", truth.joint_deg, limits.joint_deg, "deg"),
+        ]
+    judged += [(f"error of task '{e.name}' against the truth", e.truth, e.limit, e.unit) for e in cell.tasks if e.truth]
+    checks = (at_most(what, value, limit, unit) for what, value, limit, unit in judged if limit is not None)
+    return [str(check) for check in checks if not check.passed]
+
+
+def judge_results(results: PipelineResults, systems: Sequence[System], output: Path) -> PipelineResults:
+    """Return the results with the cells of some systems judged; those of others stay as they are.
+
+    Our engine's references for a team's software are judged too, but do not count for the verdict.
+
+    Args:
+        results: of a run.
+        systems: systems, with their rules and limits.
+        output: its output folder.
+
+    Raises:
+        InputError: a rule does not match a table, or a table cannot be read.
+    """
+    names = {system.name for system in systems}
+    fresh = without_verdicts(results)
+
+    def judged(before: Sequence[CellResult], now: Sequence[CellResult]) -> tuple[CellResult, ...]:
+        pairs = zip(before, now, strict=True)
+        return tuple(
+            judge_cells([cell], systems, output)[0] if cell.system in names and not cell.by_other_method else old
+            for old, cell in pairs
+        )
+
+    return replace(
+        fresh,
+        cells=judged(results.cells, fresh.cells),
+        comparisons=judged(results.comparisons, fresh.comparisons),
     )
-    if system.datasets == "changes":
-        refuse_changes(system.dataset, dataset.path)
-        loaded.writer.reference  # noqa: B018 (of the bytes that were read)
-    if system.datasets == "none" and system.exports is not None:
-        raise InputError(f"systems.{system.name}.datasets: found none, expected changes or full: it has exports")
-    loaded.check()  # before the fork, so that all cells share the result
-    if system.rules is not None and system.software is None:  # other software's table may have any columns
-        check_rules(system.rules, loaded)
-    return loaded
-
-
-def _evaluation_from(text: str) -> "Evaluation":
-    """Parse a system's table; see `parse_evaluation`."""
-    from calibration.engine.evaluation.specification import parse_evaluation  # with the modules of all kinds of tables
-
-    return parse_evaluation(text)
-
-
-def _known_tasks(system: System, dataset: Dataset) -> tuple[RobotTask, ...]:
-    """Return the tasks of a system, with the poses of their joints.
-
-    Raises:
-        InputError: the dataset does not have a task's sensors or frames, or the robot not its joints.
-    """
-    tasks = []
-    for task in system.tasks:
-        try:
-            if task.joints is not None:
-                # with the simulation; most tasks have none
-                from calibration.pipeline.matrix.described_robot import described_robot, work_poses
-
-                robot = described_robot(dataset.path.parent, system.exports)
-                task = replace(task, work_poses=work_poses(task, dataset, robot))
-            frames_of_task(dataset, task)
-        except InputError as error:
-            raise InputError(f"systems.{system.name}.{error}") from None
-        tasks.append(task)
-    return tuple(tasks)
-
-
-def _check_methods(system: System) -> None:
-    """Refuse comparison methods that there are not.
-
-    Raises:
-        InputError: there is one.
-    """
-    for method in system.compare:
-        try:
-            other_method(method)
-        except InputError as error:
-            raise InputError(f"systems.{system.name}.compare: {error}") from None

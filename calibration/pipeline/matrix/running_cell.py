@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calibration.base import CalibrationError, write_atomically
 from calibration.engine.baseline.verdict import against_baseline
+from calibration.engine.comparison import method_of
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.dataset.reading import FILE_NAME
 from calibration.engine.diagnosis.after_move import after_move
@@ -46,22 +46,7 @@ from calibration.pipeline.matrix.cell_result import (
 )
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
 
-if TYPE_CHECKING:
-    from calibration.engine.comparison import Method
-
-
 NO_FINITE_RMS = "corners lie behind a camera, or where its lens model has no inverse; is the lens model the right one?"
-
-
-def other_method(name: str) -> "Method":
-    """Return the comparison method with this name.
-
-    Raises:
-        InputError: there is no such method.
-    """
-    from calibration.engine.comparison import method_of  # most matrices compare with no other method
-
-    return method_of(name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +191,7 @@ def run_comparison(comparison: Comparison, system: LoadedSystem, output: Path) -
     begin = time.perf_counter()
     result = nothing_by_other_method(comparison)
     try:
-        method = other_method(comparison.method)
+        method = method_of(comparison.method)
         start = with_starting_noise(system.dataset, comparison.noise) if comparison.noise else system.dataset
         dataset = method.calibrate(start)
         result = replace(result, converged=True, detail=method.describe(start))

@@ -19,7 +19,7 @@ from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.evaluation.label_errors import Residuals
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import inverse, retract
-from calibration.pipeline import report_blocks
+from calibration.pipeline import report_tables
 from calibration.pipeline.matrix.cell_result import CellResult, TaskMap, TaskResult
 from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.in_space import in_space
@@ -29,6 +29,7 @@ from calibration.pipeline.page.label_residuals import (
     projection_figures,
     residuals_by_sensor,
 )
+from calibration.pipeline.report import failures, failures_of_cells, undecided_limits, verdict_sentence
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 
@@ -73,18 +74,14 @@ def report_page(
         return _system_section(own, shown[name], own_head, output, systems.get(name), accepted, (given or {}).get(name))
 
     sections = _sections_within_limit(verdicts, section_of)
-    in_sections = (
-        {*report_blocks.failures_of_cells(results, sections), *report_blocks.undecided_limits(results, sections)}
-        if several
-        else set()
-    )
+    in_sections = {*failures_of_cells(results, sections), *undecided_limits(results, sections)} if several else set()
     left_out = len(shown) - len(sections)
     robots = count_of(len(shown), "robot") if several else "".join(shown)
     title = f"Calibration of {robots}" if shown else "Calibration"
     tables = (
         overview_table(results, {name: _anchor_of_system(name) for name in sections}),
-        *_tables_of(results, report_blocks.updates_table, report_blocks.recordings_table),
-        *_tables_of(results, report_blocks.collections_table),
+        *_tables_of(results, report_tables.updates_table, report_tables.recordings_table),
+        *_tables_of(results, report_tables.collections_table),
         starts_table(results) if several else Html(""),
     )
     head = [
@@ -127,8 +124,8 @@ def _of_system(results: PipelineResults, name: str) -> PipelineResults:
 
 def _verdict_of_system(results: PipelineResults) -> Html:
     """Return the verdict of a system, and the reasons of its cells."""
-    reasons = (*report_blocks.failures(results), *report_blocks.undecided_limits(results, results.systems))
-    return join([verdict_line(results.verdict, report_blocks.verdict_sentence(results)), bullets(reasons)])
+    reasons = (*failures(results), *undecided_limits(results, results.systems))
+    return join([verdict_line(results.verdict, verdict_sentence(results)), bullets(reasons)])
 
 
 def _reason_of_left_out(left_out: int, systems: int) -> str:
@@ -161,13 +158,13 @@ def _system_section(
     name = cell.system
     of_cell = PipelineResults((cell,))
     notes = tuple(each.text for each in cell.uncontradicted_findings if each.severity in ("warning", "note"))
-    numbers = (report_blocks.transforms_table, report_blocks.tasks_table, report_blocks.changes_table)
-    others = (report_blocks.cameras_table, report_blocks.parameters_table, report_blocks.hangs_on_table)
+    numbers = (report_tables.transforms_table, report_tables.tasks_table, report_tables.changes_table)
+    others = (report_tables.cameras_table, report_tables.parameters_table, report_tables.hangs_on_table)
     content = [head, *_tables_of(of_cell, *numbers, *others, own=f"{name}: ")]
     if notes:
         title = "To look at" if cell.verdict == "fail" else "What speaks for it, and what to look at"
         content += [element("h3", title), bullets(notes)]
-    starts = report_blocks.grid(own)
+    starts = report_tables.grid(own)
     if len(starts.rows) > 1:
         content.append(folded("Each start, and other methods", table(starts.columns, starts.rows)))
     try:
@@ -314,7 +311,7 @@ def engine_of(results: PipelineResults) -> str:
 
 def overview_table(results: PipelineResults, anchors: Mapping[str, str]) -> Html:
     """Return the row of each robot, with a link to its section."""
-    found = report_blocks.overview_table(results)
+    found = report_tables.overview_table(results)
     rows = [
         (element("a", row[0], href=f"#{anchors[row[0]]}") if row[0] in anchors else row[0], *map(_lines, row[1:]))
         for row in found.rows
@@ -330,7 +327,7 @@ def _lines(text: str) -> Html | str:
 def starts_table(results: PipelineResults) -> Html:
     """Return the folded matrix of starts and robots, one number a cell; the others are its title."""
     own = PipelineResults(results.cells, tuple(each for each in results.comparisons if not each.by_other_method))
-    found = report_blocks.grid(own)
+    found = report_tables.grid(own)
     rows = [(row[0], *map(_first_number, row[1:])) for row in found.rows]
     return folded(f"The matrix: {count_of(len(rows), 'start')}", table(found.columns, rows)) if rows else Html("")
 

@@ -26,7 +26,7 @@ from calibration.pipeline.repetition.repetition import (
 )
 from calibration.pipeline.repetition.results import THE_RUN, RepeatedResults, Spread, number_ranges, repeated_results
 from calibration.pipeline.results import PAGE_FILE, PipelineResults, reason_of_end
-from calibration.pipeline.stages.running import STAGES, PipelineRun, check_stages, run_stages, stages_reported
+from calibration.pipeline.running import STAGES, PipelineRun, check_stages, run_stages, stages_reported
 
 RUN_PREFIX = "run-"
 """Prefix of the folder of a run; its number follows."""

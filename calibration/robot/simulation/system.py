@@ -32,9 +32,8 @@ from calibration.robot.simulation.sensors import (
     SimulatedLidar2d,
     SimulatedSensor,
 )
-from calibration.robot.urdf import JointErrors, Robot, check_calibrated_joints, parse_robot, with_errors
+from calibration.robot.urdf import ROBOT_FILE, JointErrors, Robot, check_calibrated_joints, parse_robot, with_errors
 
-ROBOT_FILE = "robot.urdf"
 CONFIGURATION_FILE = "config.yml"
 SIMULATION_FILE = "simulation.yml"
 MOTION_FILE = "motion.json"

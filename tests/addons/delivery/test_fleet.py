@@ -11,7 +11,7 @@ from calibration.__main__ import main
 from calibration.base.records import text_of
 from calibration.engine.baseline.calibration_document import CalibratedPose, CalibrationDocument
 from calibration.engine.baseline.document import BASELINE_VERSION, Baseline, write_baseline
-from calibration.pipeline.stages.exporting import ExportedCalibration
+from calibration.pipeline.stages import ExportedCalibration
 from tests.engine.baseline.test_fleet import fleet
 from tests.repositories import git
 

@@ -9,12 +9,11 @@ from calibration.addons.image_tests import results
 from calibration.addons.requirements.results import JudgedMessages
 from calibration.base import ExitCode, InputError
 from calibration.pipeline.configuration import read_configuration
-from calibration.pipeline.distribution.gathering import gather, report_of_run
-from calibration.pipeline.distribution.jobs import Cost, Needs
-from calibration.pipeline.distribution.plan import JobInputs, WorkflowPlan, plan_jobs
+from calibration.pipeline.gathering import Cost, Needs, gather, report_of_run
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import PipelineResults, StageResults
 from calibration.pipeline.system import NoiseGrid
+from calibration.pipeline.workflow_plan import JobInputs, WorkflowPlan, plan_jobs
 
 JOB = "test-image"
 PLAN = WorkflowPlan(stages=(JOB,))

@@ -22,10 +22,11 @@ from calibration.base.records import read
 from calibration.ci.execution.job import OUTPUT, Artifact, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, End
 from calibration.ci.workflow import Runner
+from calibration.pipeline.collection import collecting
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import read_configuration
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.stages import PipelineRun, collecting
+from calibration.pipeline.running import PipelineRun
 from tests.integration.execution.jobs import python, run_jobs, shell
 
 SECTION: dict[str, object] = {

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from calibration.__main__ import main
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 
 PROJECT = Path(__file__).parents[3]

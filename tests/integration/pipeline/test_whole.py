@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from tests.docker_engine import Registry
 

@@ -14,7 +14,7 @@ from calibration.base import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.commands.collect_data_sim import command
-from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import (
     CollectionChecks,
     CollectionRequest,

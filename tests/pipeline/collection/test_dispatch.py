@@ -12,7 +12,7 @@ import jsonschema
 import pytest
 
 from calibration.base import ExitCode, InfrastructureError, InputError, escape_markdown, write_atomically
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.report import SCHEMA_FILE, report
 from calibration.pipeline.collection.request import CollectionChecks, CollectionLimits, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults

@@ -12,7 +12,7 @@ import pytest
 from calibration.base import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import (
     INPUT_FOLDER,
     MOTION_PATH,

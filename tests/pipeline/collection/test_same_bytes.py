@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from calibration.pipeline.collection.dispatch import CollectionRequest, collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
+from calibration.pipeline.collection.request import CollectionRequest
 from tests.pipeline.systems import with_depth_camera, with_scanner
 from tests.processors import on_a_lesser_processor, on_linux
 from tests.thorough import thorough

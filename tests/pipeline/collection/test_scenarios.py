@@ -11,7 +11,7 @@ import pytest
 
 from calibration.base import ExitCode
 from calibration.commands.collect_data_sim import command
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import (
     MAX_SCENARIOS,
     CollectionChecks,

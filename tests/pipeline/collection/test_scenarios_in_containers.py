@@ -18,7 +18,7 @@ from calibration.base.records.schema import schema_of
 from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
-from calibration.pipeline.collection.dispatch import collect_dataset, collect_scenarios
+from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
 from calibration.pipeline.collection.request import INPUT_FOLDER, Applications, CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import report

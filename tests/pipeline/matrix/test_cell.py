@@ -31,7 +31,7 @@ from calibration.pipeline.matrix.loaded_system import LoadedSystem
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
 from calibration.pipeline.report import report
-from calibration.pipeline.report_blocks import parameters_table, transforms_table
+from calibration.pipeline.report_tables import parameters_table, transforms_table
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid
 from tests.engine.estimation.systems import jointed_arm, stereo, two_bodies

@@ -9,7 +9,7 @@ from calibration.base import ExitCode, InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.engine.diagnosis.limits import Limits
 from calibration.pipeline.matrix.cell_result import CellResult, Deviation
-from calibration.pipeline.matrix.cell_verdict import judge_cells, judge_results
+from calibration.pipeline.matrix.matrix import judge_cells, judge_results
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import System
 

@@ -12,7 +12,7 @@ from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.first_configuration import first_configuration
 from calibration.pipeline.matrix.cell_result import Cell, CellResult
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import load
 from calibration.pipeline.matrix.running_cell import run_cell
 from calibration.pipeline.system import Copies, System
 from tests.pipeline.conftest import DATASETS

@@ -9,9 +9,10 @@ import pytest
 
 from calibration.base import InputError
 from calibration.ci.workflow import Runner
-from calibration.pipeline.matrix.matrix import Matrix, load
+from calibration.pipeline.matrix.loaded_system import load
+from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.results import PipelineResults, clear_results, own_file, results_of
-from calibration.pipeline.stages import PipelineRun, run_stages
+from calibration.pipeline.running import PipelineRun, run_stages
 from calibration.pipeline.system import Datasets, Exports, NoiseGrid, System
 from tests.pipeline.conftest import DATASETS, RIWBOT, T2RGB
 

@@ -13,7 +13,7 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND, PLACE_KIND
 from calibration.engine.tasks.robot_task import RobotTask
 from calibration.engine.tasks.task_errors import TaskError, task_errors
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import load
 from calibration.pipeline.system import System
 
 DATASETS = Path(__file__).parents[3] / "datasets"

@@ -19,9 +19,8 @@ from calibration.engine.evaluation.table import Table
 from calibration.engine.geometry.transforms import from_xyz_rpy
 from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell_result import CellResult
-from calibration.pipeline.matrix.cell_verdict import check_rules
-from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.matrix import Matrix, load, run_matrix
+from calibration.pipeline.matrix.loaded_system import LoadedSystem, check_rules, load
+from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import PipelineResults
 from calibration.pipeline.system import NoiseGrid, System

@@ -10,7 +10,7 @@ from calibration.engine.estimation.options import Options
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.pipeline.matrix import running_cell
 from calibration.pipeline.matrix.cell_result import Cell
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import load
 from calibration.pipeline.matrix.running_cell import run_cell
 from tests.pipeline.conftest import T2RGB
 

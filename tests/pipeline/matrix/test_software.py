@@ -24,8 +24,7 @@ from calibration.engine.estimation.start.guesses import StartingNoise, guess_wit
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import translation
 from calibration.pipeline.matrix.cell_result import Cell, CellResult
-from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.matrix import load
+from calibration.pipeline.matrix.loaded_system import LoadedSystem, load
 from calibration.pipeline.matrix.software import (
     DATASET_FOLDER,
     START_FOLDER,

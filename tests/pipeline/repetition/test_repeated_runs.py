@@ -15,12 +15,11 @@ from calibration.__main__ import main
 from calibration.base import CalibrationError, ExitCode, InfrastructureError
 from calibration.ci.report import Outcome
 from calibration.ci.workflow import Runner
-from calibration.pipeline.matrix.cell_verdict import judge_results
-from calibration.pipeline.matrix.matrix import Matrix, run_matrix
+from calibration.pipeline.matrix.matrix import Matrix, judge_results, run_matrix
 from calibration.pipeline.repetition.repetition import MaxSpread, Repetition, Repetitions, poses_of_run
 from calibration.pipeline.repetition.running import repeat_stages, repeated
 from calibration.pipeline.results import PipelineResults
-from calibration.pipeline.stages import PipelineRun
+from calibration.pipeline.running import PipelineRun
 from calibration.pipeline.system import NoiseGrid
 from tests.actions.write_inputs import schema_file
 from tests.pipeline.conftest import RIWBOT
@@ -82,7 +81,7 @@ def test_our_engine_is_equal_to_the_last_bit_in_all_runs(
 def test_a_flaky_cell_is_red_unless_its_rate_is_allowed(
     repository: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], code: int
 ) -> None:
-    monkeypatch.setattr("calibration.pipeline.stages.calibrating.judge_results", failing_in(2))
+    monkeypatch.setattr("calibration.pipeline.stages.judge_results", failing_in(2))
     assert main(["calibrate-matrix", "--config", "calibration.yml", "--repeat", "3", *options]) == code
 
     found = results_in(repository / "output")
@@ -94,7 +93,7 @@ def test_a_flaky_cell_is_red_unless_its_rate_is_allowed(
 
 
 def test_a_cell_that_always_fails_is_not_flaky(repository: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calibration.pipeline.stages.calibrating.judge_results", failing_in(1, 2))
+    monkeypatch.setattr("calibration.pipeline.stages.judge_results", failing_in(1, 2))
     assert main(["run", "--repeat", "2", "--max-flake-rate", "1"]) == 1
     assert "failed in each of 2 runs: a race" in results_in(repository / "output")["reasons"][0]
 
@@ -109,8 +108,8 @@ def test_what_follows_from_the_verdict_is_done_once_after_a_pass_of_all(
         promoted.append(run.output)
         return run
 
-    monkeypatch.setattr("calibration.pipeline.stages.building.promote_stage", promote)
-    monkeypatch.setattr("calibration.pipeline.stages.calibrating.judge_results", failing_in(*failing))
+    monkeypatch.setattr("calibration.pipeline.stages.promote_stage", promote)
+    monkeypatch.setattr("calibration.pipeline.stages.judge_results", failing_in(*failing))
     run = PipelineRun(Matrix((RIWBOT,), NoiseGrid()), tmp_path, Runner(), image=SPECIFICATION)
     code, _ = repeat_stages(run, ("calibrate", "introspect", "promote"), Repetitions(repeat=2))
     assert (code, promoted) == (0 if count else 1, [tmp_path / "run-2"] * count)

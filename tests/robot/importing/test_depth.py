@@ -15,7 +15,7 @@ from calibration.engine.dataset.sensor_data import DEPTH_UNIT_M, NO_RETURN, read
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.evaluation.truth import choose_truth
 from calibration.engine.geometry.transforms import distance, translation
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.importing.bags.messages import depth_of
 from calibration.robot.importing.importing import import_data

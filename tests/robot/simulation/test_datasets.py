@@ -15,7 +15,7 @@ from calibration.engine.evaluation.truth import find_truth, truth_error
 from calibration.engine.geometry import transforms
 from calibration.engine.geometry.frames import JOINT_PARAMETERS
 from calibration.engine.geometry.transforms import apply, inverse
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.simulation.motion import read_motion

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from tests.robot.simulation.conftest import DATASETS

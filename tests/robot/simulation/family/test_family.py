@@ -12,7 +12,7 @@ from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.evaluation.truth import find_truth, truth_error, truth_of
 from calibration.engine.geometry.transforms import distance
-from calibration.pipeline.collection.dispatch import collect_dataset
+from calibration.pipeline.collection.collecting import collect_dataset
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.robot.simulation.kinematics import place
 from calibration.robot.simulation.motion_generation import generate_motion

@@ -21,7 +21,8 @@ from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay
 from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.dataset.model import Dataset
-from calibration.pipeline.matrix.matrix import Matrix, load
+from calibration.pipeline.matrix.loaded_system import load
+from calibration.pipeline.matrix.matrix import Matrix
 from calibration.pipeline.page.run_page import accepted_history, report_page
 from calibration.pipeline.report import report, write_cells, write_results
 from calibration.pipeline.results import PAGE_FILE, PipelineResults, clear_results, reason_of_end
@@ -29,6 +30,7 @@ from calibration.pipeline.results import PAGE_FILE, PipelineResults, clear_resul
 if TYPE_CHECKING:
     from calibration.ci.image.specification import ImageSpecification
     from calibration.pipeline.collection.request import CollectionRequest
+
 
 COLLECTED_FOLDER = "collected"
 """Folder of collected datasets, in a pipeline's output folder."""
@@ -98,19 +100,19 @@ def _stage_of_addon(stage: AddonStage) -> PipelineStage:
 
 
 STAGES: Mapping[str, PipelineStage] = {
-    "build": PipelineStage("calibration.pipeline.stages.building:build_stage", lambda run: run.image is not None),
+    "build": PipelineStage("calibration.pipeline.stages:build_stage", lambda run: run.image is not None),
     "collect": PipelineStage(
-        "calibration.pipeline.stages.collecting:collect_stage",
+        "calibration.pipeline.collection.collecting:collect_stage",
         lambda run: bool(run.simulations),
         lambda run: _lack_image(each for request in run.simulations for each in request.applications.containers),
     ),
     "calibrate": PipelineStage(
-        "calibration.pipeline.stages.calibrating:calibrate_stage",
+        "calibration.pipeline.stages:calibrate_stage",
         needs_image=lambda run: _lack_image(software.container for software in run.matrix.software.values()),
     ),
-    "introspect": PipelineStage("calibration.pipeline.stages.calibrating:introspect_stage"),
+    "introspect": PipelineStage("calibration.pipeline.stages:introspect_stage"),
     "export": PipelineStage(
-        "calibration.pipeline.stages.exporting:export_stage",
+        "calibration.pipeline.stages:export_stage",
         lambda run: any(system.exports for system in run.matrix.systems),
     ),
     **{
@@ -118,7 +120,7 @@ STAGES: Mapping[str, PipelineStage] = {
         for name, stage in sorted(of_addons(lambda addon: addon.stages).items(), key=lambda entry: entry[1].last)
     },
     "promote": PipelineStage(
-        "calibration.pipeline.stages.building:promote_stage", lambda run: bool(run.image and run.image.promote)
+        "calibration.pipeline.stages:promote_stage", lambda run: bool(run.image and run.image.promote)
     ),
 }
 """All stages, in order."""

@@ -14,8 +14,10 @@ from calibration.ci.execution.job import Container
 from calibration.ci.image.specification import ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import PipelineConfiguration
-from calibration.pipeline.distribution.jobs import Needs, parse_needs
-from calibration.pipeline.distribution.plan import (
+from calibration.pipeline.gathering import Needs, parse_needs
+from calibration.pipeline.matrix.software import Software
+from calibration.pipeline.system import NoiseGrid, System
+from calibration.pipeline.workflow_plan import (
     MAX_JOBS,
     MAX_OUTPUT_BYTES,
     JobCell,
@@ -27,8 +29,6 @@ from calibration.pipeline.distribution.plan import (
     plan_outputs,
     plan_text,
 )
-from calibration.pipeline.matrix.software import Software
-from calibration.pipeline.system import NoiseGrid, System
 
 ROBOT, ARM = System("robot", Path("data/robot")), System("arm", Path("data/arm"))
 FRESH = CollectionRequest(Path("data/robot"), name="fresh")

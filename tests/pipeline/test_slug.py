@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calibration.pipeline.distribution.plan import MAX_SLUG_LENGTH, slugs
+from calibration.pipeline.workflow_plan import MAX_SLUG_LENGTH, slugs
 
 
 @given(st.lists(st.text()), st.lists(st.sampled_from(["taken", "unnamed", "a"])))

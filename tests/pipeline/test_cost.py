@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base.records import document_of
-from calibration.pipeline.distribution.jobs import SECONDS_FILE, Cost, JobTime, Needs, cost_of_run, jobs_table, money
-from calibration.pipeline.distribution.plan import JobCell, WorkflowPlan
+from calibration.pipeline.gathering import SECONDS_FILE, Cost, JobTime, Needs, cost_of_run, jobs_table, money
+from calibration.pipeline.workflow_plan import JobCell, WorkflowPlan
 
 ONE = JobCell("one", "slug-of-one", "robot", (0.0,), (0.0,))
 TWO = JobCell("two", "slug-of-two", "robot", (0.5,), (0.0,))

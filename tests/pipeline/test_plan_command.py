@@ -11,7 +11,7 @@ from calibration.__main__ import main, run_action
 from calibration.ci.report.report import Brief, read_brief
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import SCHEMA_FILE, PipelineResults
-from tests.pipeline.distribution.test_gathering import ONE, TWO, result
+from tests.pipeline.test_gathering import ONE, TWO, result
 
 CONFIGURATION = """
 noise: {translation: [0, 0.5], rotation: [0.3], seeds: 2}

@@ -1,14 +1,25 @@
-"""Entry points of the collection: one dataset, or many scenarios; by our own simulation or the team's applications."""
+"""Collection by our own simulation or the team's applications: of one dataset, of many scenarios, and the stage."""
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+from calibration.base import CalibrationError
+from calibration.base.addons import import_attribute, of_addons
+from calibration.ci.execution.backends import EMBEDDED
+from calibration.ci.execution.supervision import BeginWatch
+from calibration.ci.workflow.streams import progress
 from calibration.pipeline.collection.by_applications import ApplicationScenarios, collect_by_applications
 from calibration.pipeline.collection.by_simulation import Begin, PoseDone, SimulatedScenarios, collect_by_simulation
+from calibration.pipeline.collection.report import pose_line
 from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults, ScenarioResults
 from calibration.pipeline.collection.scenarios import ScenarioDone, ScenarioFolder, Scenarios, run_in_containers
+from calibration.pipeline.results import Collected
+from calibration.pipeline.running import COLLECTED_FOLDER, PipelineRun
 from calibration.robot.simulation.dataset_folder import refuse_existing
+from calibration.robot.simulation.record import Record
 from calibration.robot.simulation.scenarios.statistics import Statistics
 
 DRIVERS_SOUGHT = 5
@@ -89,3 +100,59 @@ def collect_scenarios(
     worst = statistics.beyond_error_bars[:DRIVERS_SOUGHT]
     drivers = scenarios.drivers(worst, jobs) if isinstance(scenarios, SimulatedScenarios) else {}
     return ScenarioResults(scenarios.system, request, statistics, errors, drivers)
+
+
+def collect_stage(run: PipelineRun) -> PipelineRun:
+    """Collect datasets, each in its folder below the output folder, and calibrate them.
+
+    A failed collection is stored in the results, and does not stop the others.
+    """
+    collections = tuple(_collect_one(request, run) for request in run.simulations)
+    return replace(run, results=replace(run.results, collections=collections))
+
+
+def _collect_one(request: CollectionRequest, run: PipelineRun) -> Collected:
+    name, folder, begin = request.name, f"{COLLECTED_FOLDER}/{request.name}", time.perf_counter()
+    try:
+        target = replace(run.target, backend=request.backend or EMBEDDED, watch=_watch_of(request, run))
+        request = replace(request, target=target)
+        with progress(run.runner, f"collect {name}", bar=request.backend == EMBEDDED) as advance:
+
+            def done(count: int, total: int, record: Record) -> None:
+                advance(count, total, f"{name}: {pose_line(record)}", important=not record.kept)
+
+            found = collect_dataset(request, run.output / folder, True, run.jobs, done=done)
+    except CalibrationError as error:
+        return Collected(name, reasons=(str(error),), error=error.exit_code)
+    proof = found.proof
+    return Collected(
+        name=name,
+        poses=len(found.records),
+        kept=len(found.kept),
+        corner_rms_px=found.corner_rms,
+        rms_px=proof.rms_px if proof else None,
+        translation_mm=proof.translation_mm if proof else None,
+        rotation_deg=proof.rotation_deg if proof else None,
+        dataset=folder if found.kept else None,
+        reasons=tuple(found.reasons),
+        error=found.error,
+        seconds=round(time.perf_counter() - begin, 4),
+    )
+
+
+def _watch_of(request: CollectionRequest, run: PipelineRun) -> BeginWatch | None:
+    """Return the watch of an add-on that follows what the containers say by rosbridge; None for none.
+
+    Raises:
+        CalibrationError: what it is to look for cannot be parsed, or a library is not installed.
+    """
+    recording = request.applications.record
+    if recording is None or recording.rosbridge is None:
+        return None
+    for section, target in of_addons(lambda addon: addon.watches).items():
+        settings = run.sections.of(section)
+        watch: BeginWatch | None = settings and import_attribute(target)(settings, request.name, recording.rosbridge)
+        if watch is not None:
+            return watch
+    run.runner.log(f"{request.name}: record.rosbridge: no section judges what this entry records: nothing is watched")
+    return None

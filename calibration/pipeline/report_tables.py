@@ -1,12 +1,11 @@
-"""Blocks of the report on a pipeline's results: tables, and messages of one line each.
+"""Tables of the report on a pipeline's results.
 
 The main table has noise pairs and other methods as rows, systems as columns.
 """
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -16,20 +15,16 @@ from calibration.ci.report import VERDICTS, Table, count_of, shown
 from calibration.engine.baseline.comparison import BaselineChange
 from calibration.engine.baseline.quality import SameData
 from calibration.engine.baseline.verdict import exceeds, size_of_change
-from calibration.engine.diagnosis.finding import Severity
-from calibration.engine.evaluation.specification import FILES_WITHOUT_RMS
 from calibration.pipeline.matrix.cell_result import (
     OUR_METHOD,
-    REPROJECTION_FILE,
     CellResult,
     Details,
     Deviation,
     TransformResult,
     noise_text,
 )
-from calibration.pipeline.results import Collected, ImageResult, PipelineResults
+from calibration.pipeline.results import Collected, PipelineResults
 
-NOT_CONVERGED = "it has not converged"
 MAX_COLUMNS_IN_LOG = 3
 """Limit of the systems side by side in a log."""
 PARAMETERS_SHOWN = 200
@@ -81,7 +76,7 @@ def overview_table(results: PipelineResults) -> Table:
 
 def _error_bars_in_brief(results: PipelineResults, system: str) -> str:
     """Describe the standard deviations of each sensor, worst first: "lidar3d ± 1.9 mm, 0.07 deg"; else the largest."""
-    details = _best_details(results).get(system)
+    details = best_details(results).get(system)
     poses = details.snapshot.poses if details and details.snapshot else ()
     sensors = details.recording.sensors if details and details.recording else ()
     sigmas = {
@@ -111,7 +106,7 @@ def _tasks_in_brief(results: PipelineResults, system: str) -> str:
 
 def _changes_in_brief(results: PipelineResults, system: str) -> str:
     """Describe what has changed since the accepted calibration; empty if there is none."""
-    details = _best_details(results).get(system)
+    details = best_details(results).get(system)
     if details is None or not details.changes:
         return ""
     changed = [each for each in details.changes if exceeds(each, SameData())]
@@ -258,7 +253,7 @@ def collections_table(results: PipelineResults) -> Table:
 
 def transforms_table(results: PipelineResults) -> Table:
     """Return a row for each calibrated transform of each system's best cell, with standard deviations."""
-    first = _best_details(results)
+    first = best_details(results)
     rows = [
         (
             f"{system}: {transform.parent} to {transform.child}",
@@ -283,7 +278,7 @@ def hangs_on_table(results: PipelineResults) -> Table:
     """Return a row for each system: the fixed parameters whose usual uncertainty makes most of the error bars."""
     rows = [
         (system, ", ".join(f"{share.cause} {share.mm:.2g} mm" for share in details.hangs_on[:CAUSES_SHOWN]))
-        for system, details in _best_details(results).items()
+        for system, details in best_details(results).items()
         if details.hangs_on
     ]
     return Table(("What the result hangs on", "What the usual uncertainty of each is worth"), tuple(rows))
@@ -299,7 +294,7 @@ def recordings_table(results: PipelineResults) -> Table:
             str(recording.collections),
             ", ".join(recording.sensors),
         )
-        for system, details in _best_details(results, converged=False).items()
+        for system, details in best_details(results, converged=False).items()
         if (recording := details.recording)
     ]
     return Table(("Robot", "Dataset", "Pattern", "Collections", "Sensors"), tuple(rows), brief=True, only="summary")
@@ -322,7 +317,7 @@ def _distance_text(transform: TransformResult) -> str:
 
 def parameters_table(results: PipelineResults) -> Table:
     """Return a row for each calibrated parameter of a joint or a camera, of each system's best cell."""
-    first = _best_details(results)
+    first = best_details(results)
     rows: list[tuple[str, ...]] = [
         (
             system,
@@ -348,7 +343,7 @@ def parameters_table(results: PipelineResults) -> Table:
 def cameras_table(results: PipelineResults) -> Table:
     """Return a row for each camera with calibrated intrinsics, of each system's best cell."""
     rows = []
-    for system, details in _best_details(results).items():
+    for system, details in best_details(results).items():
         for camera in (each for each in details.projection if each.given is None):
             parameters = {row.parameter: row for row in details.intrinsics if row.name == camera.camera}
             focal, centre = (
@@ -369,7 +364,7 @@ def changes_table(results: PipelineResults) -> Table:
     """Return a row for each calibrated transform or parameter that differs from the accepted one, beyond rounding."""
     rows = [
         (f"{system}: {change.name}", _change_text(change), _in_sigmas(change))
-        for system, details in _best_details(results).items()
+        for system, details in best_details(results).items()
         for change in details.changes
         if exceeds(change, SameData())
     ]
@@ -412,7 +407,7 @@ def _in_sigmas(change: BaselineChange) -> str:
     return f"{change.sigmas:.2g}" if change.sigmas < 1e6 else "-"
 
 
-def _best_details(results: PipelineResults, converged: bool = True) -> dict[str, Details]:
+def best_details(results: PipelineResults, converged: bool = True) -> dict[str, Details]:
     """Return the details of each system's best cell, the first with the best verdict, by default of the converged."""
     best = _best_cells(results, converged)
     return {system: cell.details for system, cell in best.items() if cell.details}
@@ -424,199 +419,3 @@ def _best_cells(results: PipelineResults, converged: bool = True) -> dict[str, C
     best_first = sorted(cells, key=lambda cell: VERDICTS.index(cell.verdict))
     best = {cell.system: cell for cell in reversed(best_first)}
     return {system: best[system] for system in results.systems if system in best}
-
-
-def verdict_sentence(results: PipelineResults) -> str:
-    """Return the verdict in one line."""
-    done, failed = [], []
-    for things, what, verb in ((results.cells, "cell", "calibrated"), (results.collections, "dataset", "collected")):
-        verdicts = Counter(thing.verdict for thing in things)
-        count = count_of(len(things), what)
-        nothing = not results.has_verdict and results.image is None
-        counted = [(verdicts["fail"], "failed")] if verdicts["fail"] or (what == "cell" and nothing) else []
-        counted += [(verdicts["undecided"], "undecided")] if verdicts["undecided"] else []
-        if counted:
-            (number, word), *more = counted
-            failed += [f"{number} of {count} {word}", *(f"{number} {word}" for number, word in more)]
-        elif things:
-            done.append(f"{count} {verb}")
-    if results.image is not None and not results.judged:
-        done.append("the image is built" if results.image.built else "the image is there")
-    done += [stage.sentence for stage in results.of_stages.all]
-    return ", ".join((*failed, *done))
-
-
-def failures(results: PipelineResults) -> list[str]:
-    """Return the reasons of everything that failed, a line each, worst first."""
-    collected = [f"collected {each.name}: {reason}" for each in results.collections for reason in each.reasons]
-    return failures_of_cells(results, results.systems) + collected
-
-
-def failures_of_cells(results: PipelineResults, systems: Collection[str]) -> list[str]:
-    """Return the reasons of the cells of some systems that failed, a line each, worst first.
-
-    Equal reasons of several cells of a system are merged into one line; cells are named if there are several in all.
-    """
-    references = {cell.start_of_cell: cell for cell in results.comparisons if not cell.by_other_method}
-    lines = {
-        # Whose fault it is follows the first reason: GitHub shows nine annotations of a step.
-        cell.name: (*cell.reasons[:1], *_whose_fault(cell, references.get(cell.start_of_cell)), *cell.reasons[1:])
-        or (NOT_CONVERGED,)
-        for cell in results.cells
-        if cell.verdict == "fail" and cell.system in systems
-    }
-    return _lines_of_cells(results.cells, lines)
-
-
-def undecided_limits(results: PipelineResults, systems: Collection[str]) -> list[str]:
-    """Return a line for every undecided limit of the cells of some systems, likewise."""
-    lines = {
-        cell.name: [f"undecided: {why}" for why in cell.undecided] for cell in results.cells if cell.system in systems
-    }
-    return _lines_of_cells(results.cells, lines)
-
-
-def _lines_of_cells(cells: Sequence[CellResult], lines: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return the lines of cells, given by the cells' names, each once; of several cells with their names in front."""
-    alike: dict[tuple[str, str], list[CellResult]] = {}
-    for cell in cells:
-        for line in dict.fromkeys(lines.get(cell.name, ())):
-            alike.setdefault((cell.system, line), []).append(cell)
-    if len(cells) == 1:
-        return [line for _, line in alike]
-    starts = Counter(cell.system for cell in cells)
-    return [f"{_names_of_cells(same, starts[system])}: {line}" for (system, line), same in alike.items()]
-
-
-def _names_of_cells(alike: Sequence[CellResult], starts: int) -> str:
-    """Describe the cells of a system that have a line in common."""
-    first, more = alike[0], len(alike) - 1
-    if starts == 1:
-        return first.system
-    if len(alike) == starts:
-        return f"{first.system}, all {starts} starts"
-    return first.name if more == 0 else f"{first.name}, and {count_of(more, 'more start')}"
-
-
-def _whose_fault(cell: CellResult, reference: CellResult | None) -> tuple[str, ...]:
-    """Describe our engine's result, on the same data and initial guess, for a failed cell of the team's software."""
-    if reference is None or cell.error is not None:  # a failure of the container engine is not the software's fault
-        return ()
-    if reference.verdict != "fail":
-        rms = "" if reference.rms_px is None else f" ({reference.rms_px:.4f} px)"
-        return (f"our engine passes on the same data from the same start{rms}: look at the software",)
-    why = next(iter(reference.reasons), NOT_CONVERGED)
-    return (f"our engine fails on the same data too ({why}): look at the data",)
-
-
-def findings_of(results: PipelineResults, severity: Severity) -> tuple[str, ...]:
-    """Return the findings of one severity, once per system, with the system in front if there are several."""
-    several = len({cell.system for cell in results.cells}) > 1
-    texts = (
-        f"{cell.system}: {finding.text}" if several else finding.text
-        for cell in results.cells
-        for finding in cell.uncontradicted_findings
-        if finding.severity == severity
-    )
-    return tuple(dict.fromkeys(texts))
-
-
-def origin_of_rms(results: PipelineResults) -> tuple[str, ...]:
-    """Describe the RMS of cells without a table, or with a table that has none: that of the calibration."""
-    names: dict[str, dict[str, None]] = {}
-    for cell in results.cells:
-        file = Path(cell.table).name if cell.table else ""
-        has_default_table = file == REPROJECTION_FILE and not (cell.details and cell.details.of_cameras_alone)
-        if has_default_table or (cell.rms_px is not None and cell.method == OUR_METHOD and file in FILES_WITHOUT_RMS):
-            names.setdefault(file, {})[cell.system] = None
-    which = "of all corners against where the calibration puts them"
-    between = "a table between two sensors is another number: evaluate: rgb-to-rgb:SOURCE:TARGET"
-    return tuple(
-        f"RMS of {', '.join(systems)}: {which}; {between if file == REPROJECTION_FILE else f'{file} has none'}"
-        for file, systems in names.items()
-    )
-
-
-def baseline_line(results: PipelineResults) -> str:
-    """Describe the systems compared with the baseline, and remarks on it."""
-    update = results.baseline
-    if update is None:
-        return ""
-    compared = "Nothing has changed since" if _equals_baseline(results) else "Compared with"
-    parts = [f"{compared} {update.since}: {', '.join(update.compared)}"] if update.compared else []
-    if update.not_accepted:
-        none = "no calibration accepted yet of" if parts else "No calibration accepted yet of"
-        parts.append(f"{none} {', '.join(update.not_accepted)}: calibration accept")
-    parts += [update.problem] if update.problem and not update.reasons else []
-    if update.unused:
-        parts.append(f"{update.file} has systems that are calibrated no more: {', '.join(update.unused)}")
-    return "; ".join(parts)
-
-
-def _equals_baseline(results: PipelineResults) -> bool:
-    """Whether every calibration equals the accepted one within the tolerances of a result on the same data."""
-    compared = results.baseline.compared if results.baseline else ()
-    cells = [cell for cell in results.cells if cell.system in compared]
-    return bool(cells) and all(_equals_accepted(cell) for cell in cells)
-
-
-def _equals_accepted(cell: CellResult) -> bool:
-    changes = cell.details.changes if cell.details else ()
-    differs = any(each.kind in ("added", "removed") or exceeds(each, SameData()) for each in changes)
-    named = any(each.kind in ("baseline", "baseline-quality") for each in cell.findings)
-    return bool(changes) and not differs and not named
-
-
-def lines_of_comment(results: PipelineResults) -> Iterator[str]:
-    """Yield what a comment says beside its tables: the accepted calibration, findings, time."""
-    if line := baseline_line(results):
-        yield line
-    warnings, notes = (findings_of(results, severity) for severity in ("warning", "note"))
-    if warnings or notes:
-        counted = f"Findings: {len(warnings)} to look at, {count_of(len(notes), 'note')}"
-        yield f"{counted}: {warnings[0]}" if warnings else counted
-    if results.cells:
-        seconds = sum(cell.seconds for cell in results.cells)
-        yield f"Time: {seconds:.1f} s of calibration in {count_of(len(results.cells), 'cell')}"
-
-
-def without_result(results: PipelineResults) -> list[str]:
-    """Return the reasons why other methods have no result, once for all cells; without our engine as a reference."""
-    return list(
-        dict.fromkeys(
-            f"{cell.system}, {cell.method}: {'; '.join(cell.reasons)}"
-            for cell in results.comparisons
-            if cell.reasons and cell.by_other_method
-        )
-    )
-
-
-def other_methods(results: PipelineResults) -> list[str]:
-    """Return the implementation used by each of the other methods, and the data if there is a choice."""
-    methods_by_detail: dict[str, dict[str, None]] = {}
-    for cell in results.comparisons:
-        if cell.detail is not None:
-            methods_by_detail.setdefault(f"{cell.system}: {cell.detail}", {})[cell.method] = None
-    return [f"{', '.join(methods)} on {detail}" for detail, methods in methods_by_detail.items()]
-
-
-def what_to_record(results: PipelineResults) -> Iterator[str]:
-    """Yield the poses to record next of each system with an undecided limit, and what they bring."""
-    for system, details in _best_details(results).items():
-        if details.next_poses is not None:
-            yield from (f"{system}: {line}" for line in details.next_poses.lines)
-
-
-def image_line(image: ImageResult) -> str:
-    """Describe the actions on the image."""
-    what = f"built in {image.seconds:.0f} s" if image.built else "unchanged, nothing was built"
-    promoted = f"; promoted to {', '.join(image.promoted)}" if image.promoted else ""
-    return f"Image {image.reference}: {what}{promoted}"
-
-
-def export_lines(results: PipelineResults, output: Path) -> Iterator[str]:
-    """Yield the files of each export, and notes on them."""
-    for export in results.exports:
-        if export.files:
-            yield f"{output / export.folder}: {', '.join(export.files)}"
-        yield from (f"{export.system}: {note}" for note in export.notes)

@@ -9,15 +9,14 @@ from typing import Any
 import pytest
 
 from calibration.base import ExitCode, InputError
-from calibration.pipeline.distribution.gathering import NO_RESULT, Gathered
-from calibration.pipeline.distribution.gathering import gather as gather_by_needs
-from calibration.pipeline.distribution.jobs import Needs
-from calibration.pipeline.distribution.plan import JobCell, WorkflowPlan
+from calibration.pipeline.gathering import NO_RESULT, Gathered, Needs
+from calibration.pipeline.gathering import gather as gather_by_needs
 from calibration.pipeline.matrix.cell_result import CellResult
 from calibration.pipeline.matrix.matrix import Matrix, run_matrix
 from calibration.pipeline.report import write_results
 from calibration.pipeline.results import Collected, ImageResult, PipelineResults
 from calibration.pipeline.system import NoiseGrid
+from calibration.pipeline.workflow_plan import JobCell, WorkflowPlan
 from tests.pipeline.conftest import RIWBOT
 from tests.pipeline.matrix.test_cell_verdict import CELL
 

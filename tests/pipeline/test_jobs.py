@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from calibration.pipeline.distribution.jobs import SECONDS_FILE, parse_seconds, read_seconds
+from calibration.pipeline.gathering import SECONDS_FILE, parse_seconds, read_seconds
 
 
 @pytest.mark.parametrize(("value", "seconds"), [("0", 0), ("61", 61), (" 7\n", 7), ("9999999", 9999999)])
