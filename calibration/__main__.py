@@ -26,37 +26,40 @@ from calibration.base.optional import PACKAGE_OF_MODULE
 from calibration.base.process import Terminated, no_collector, run_process, terminate_cleanly
 from calibration.ci.workflow import Annotation, Level, Runner, annotate, report_error, stop_commands
 
-_HELP_OF_COMMAND = {
-    "run": "Run the whole pipeline of calibration.yml.",
-    "calibrate-matrix": "Calibrate systems from every noisy start.",
-    "accept": "Keep a run's results as the baseline of later ones.",
-    "history": "Follow the accepted calibrations through git.",
-    "next-pose": "Say which poses to record next, and when it is enough.",
-    "plan-recording": "Plan the poses of a recording before anything is recorded.",
-    "convergence": "Map how large errors of the starting guess may be.",
-    "introspect-csv": "Check tables against rules.",
-    "collect-data-sim": "Collect a dataset in simulation.",
-    "build-image": "Build the image with the team's software, if anything changed.",
-    "plan-matrix": "Plan the jobs of a workflow.",
-    "gather-results": "Merge the results of a workflow's jobs.",
-    "comment": "Keep one comment on a pull request up to date.",
-    "look": "Look at a recording: what is in it, and what is missing for a calibration.",
-    "watch": "Watch images arrive: which views are used, how good the calibration is, and what to show next.",
-    "import-data": "Make a dataset of recorded images and poses.",
-    "add-collections": "Add what was recorded later to a dataset.",
-    "label": "Find the patterns in the images of a dataset.",
-    "init": "Write a first calibration.yml and workflow.",
-    "export": "Write a calibration as URDF, launch files, camera_info and more.",
-    "cleanup": "Remove what killed runs left in the Docker Engine or the cloud.",
-    "pattern": "Write a board to print, true to size.",
-    "schema": "Print the JSON Schema of a file.",
-    "version": "Print the versions in use.",
+_COMMANDS = {
+    "run": ("run:command", "Run the whole pipeline of calibration.yml."),
+    "calibrate-matrix": ("calibrate_matrix:command", "Calibrate systems from every noisy start."),
+    "accept": ("baseline:accept_command", "Keep a run's results as the baseline of later ones."),
+    "history": ("baseline:history_command", "Follow the accepted calibrations through git."),
+    "next-pose": ("next_pose:next_pose_command", "Say which poses to record next, and when it is enough."),
+    "plan-recording": (
+        "next_pose:plan_recording_command",
+        "Plan the poses of a recording before anything is recorded.",
+    ),
+    "convergence": ("convergence:command", "Map how large errors of the starting guess may be."),
+    "introspect-csv": ("introspect_csv:command", "Check tables against rules."),
+    "collect-data-sim": ("collect_data_sim:command", "Collect a dataset in simulation."),
+    "build-image": ("build_image:command", "Build the image with the team's software, if anything changed."),
+    "plan-matrix": ("workflow:plan_matrix_command", "Plan the jobs of a workflow."),
+    "gather-results": ("workflow:gather_results_command", "Merge the results of a workflow's jobs."),
+    "comment": ("workflow:comment_command", "Keep one comment on a pull request up to date."),
+    "look": ("recordings:look_command", "Look at a recording: what is in it, and what is missing for a calibration."),
+    "watch": (
+        "recordings:watch_command",
+        "Watch images arrive: which views are used, how good the calibration is, and what to show next.",
+    ),
+    "import-data": ("recordings:import_data_command", "Make a dataset of recorded images and poses."),
+    "add-collections": ("recordings:add_collections_command", "Add what was recorded later to a dataset."),
+    "label": ("recordings:label_command", "Find the patterns in the images of a dataset."),
+    "init": ("init:command", "Write a first calibration.yml and workflow."),
+    "export": ("export:command", "Write a calibration as URDF, launch files, camera_info and more."),
+    "cleanup": ("cleanup:command", "Remove what killed runs left in the Docker Engine or the cloud."),
+    "pattern": ("recordings:pattern_command", "Write a board to print, true to size."),
+    "schema": ("schema:command", "Print the JSON Schema of a file."),
+    "version": ("version:command", "Print the versions in use."),
 }
 COMMANDS: Mapping[str, LazyCommand] = {
-    **{
-        name: LazyCommand(f"calibration.commands.{name.replace('-', '_')}:command", help_)
-        for name, help_ in _HELP_OF_COMMAND.items()
-    },
+    **{name: LazyCommand(f"calibration.commands.{target}", help_) for name, (target, help_) in _COMMANDS.items()},
     **of_addons(lambda addon: addon.commands),
 }
 """Commands by name, in the order of ``--help``."""

@@ -2,7 +2,6 @@
 
 import re
 from fnmatch import fnmatch
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +9,11 @@ import click
 import pytest
 import yaml
 
-from calibration.__main__ import load_command
+from calibration.__main__ import COMMANDS, load_command
 from calibration.base import InputError
 from calibration.ci.registries.push import promote
 from calibration.ci.workflow import Runner
-from calibration.commands.plan_matrix import artifact_name
+from calibration.commands.workflow import artifact_name
 from calibration.pipeline.gathering import ERROR_OUTPUT, SECONDS_FILE, SECONDS_OUTPUT, parse_needs
 from calibration.pipeline.workflow_plan import WorkflowPlan, plan_outputs
 from tests.actions.write_inputs import deprecated, options
@@ -74,8 +73,7 @@ def test_every_variable_of_a_step_is_an_input_of_its_command() -> None:
         for step in job["steps"]:
             if found := run.search(step.get("run", "")):
                 started.add(found[1])
-                module = f"calibration.commands.{found[1].replace('-', '_')}"
-                if find_spec(module) is None:
+                if found[1] not in COMMANDS or COMMANDS[found[1]].target.startswith("calibration.addons."):
                     continue
                 known = {
                     f"INPUT_{name.upper().replace('-', '_')}"

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from calibration.base import InputError
-from calibration.commands.add_collections import command
+from calibration.commands.recordings import add_collections_command as command
 from calibration.engine.dataset.model import ESTIMATED_KEY
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.evaluation.truth import TRUTH_FILE, read_truth

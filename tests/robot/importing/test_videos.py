@@ -150,10 +150,12 @@ def test_decoding_that_stalls_is_killed(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 def test_decoding_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    busy = "decoding_child._DECODER_OF_KIND = {'video': lambda: lambda *_: max(iter(int, 1))}; decoding_child.main()"
+    busy = (
+        "confined_decoding._DECODER_OF_KIND = {'video': lambda: lambda *_: max(iter(int, 1))}; confined_decoding.main()"
+    )
     child = (
         "import sys; sys.path.insert(0, sys.argv.pop(1)); "
-        f"from calibration.robot.importing.files import decoding_child; {busy}"
+        f"from calibration.robot.importing.files import confined_decoding as child; {busy}"
     )
     monkeypatch.setattr(confined_decoding, "_CHILD_CODE", child)
     monkeypatch.setattr(confined_decoding, "CPU_SECONDS", 1)
