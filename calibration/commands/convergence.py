@@ -12,6 +12,7 @@ from calibration.base import ExitCode, InputError, did_you_mean
 from calibration.ci.report import count_of, publish, remove_results
 from calibration.ci.workflow import Runner
 from calibration.ci.workflow.streams import LogDisplay, progress
+from calibration.commands import parameters
 from calibration.commands.calibrate_matrix import (
     OF_SOFTWARE,
     MatrixSettings,
@@ -21,16 +22,6 @@ from calibration.commands.calibrate_matrix import (
     target_of,
 )
 from calibration.commands.calibrate_matrix import command as calibrate_matrix
-from calibration.commands.parameters import (
-    INTEGER_LIST,
-    TEXT_LIST,
-    count,
-    integer,
-    non_negative,
-    option_keys,
-    password_variable,
-    path,
-)
 from calibration.engine.estimation.options import Start
 from calibration.pipeline.configuration import DEFAULT_FILE
 from calibration.pipeline.convergence.convergence_map import ConvergenceResults, Minimums, maps_of
@@ -49,7 +40,7 @@ SHARED_OPTIONS = frozenset(
     {
         *(
             key.replace("-", "_")
-            for key in (*option_keys(System), *OF_SOFTWARE)
+            for key in (*parameters.option_keys(System), *OF_SOFTWARE)
             if key not in ("start", "compare", "datasets", "undecided")
         ),
         *("dataset", "config", "systems", "rules", "parallel"),
@@ -61,7 +52,7 @@ SHARED_OPTIONS = frozenset(
 
 def levels(value: str) -> tuple[float, ...]:
     """Parse noise levels: numbers, and ranges FIRST:LAST:COUNT, separated by commas; returned sorted, including 0."""
-    found = {0.0, *(level for part in TEXT_LIST(value) for level in _levels_of_part(part))}
+    found = {0.0, *(level for part in parameters.TEXT_LIST(value) for level in _levels_of_part(part))}
     if len(found) > MAX_LEVELS:
         raise click.BadParameter(f"{len(found)} levels with 0, at most {MAX_LEVELS} were expected")
     return tuple(sorted(found))
@@ -72,12 +63,12 @@ levels.__name__ = "levels"
 
 def _levels_of_part(part: str) -> tuple[float, ...]:
     if ":" not in part:
-        return (non_negative(part),)
+        return (parameters.non_negative(part),)
     try:
         first, last, steps = part.split(":")
     except ValueError:
         raise click.BadParameter(f"{part!r} is no range: FIRST:LAST:COUNT was expected, such as 0:2:9") from None
-    low, high, number = non_negative(first), non_negative(last), integer(steps)
+    low, high, number = parameters.non_negative(first), parameters.non_negative(last), parameters.integer(steps)
     if not 2 <= number <= MAX_LEVELS or low >= high:
         raise click.BadParameter(
             f"{part!r} is no range: FIRST below LAST, and a COUNT of 2 to {MAX_LEVELS} were expected, such as 0:2:9"
@@ -89,7 +80,7 @@ def _levels_of_part(part: str) -> tuple[float, ...]:
 
 def starts(value: str) -> tuple[str, ...]:
     """Parse kinds of start, without duplicates."""
-    found = tuple(dict.fromkeys(TEXT_LIST(value)))
+    found = tuple(dict.fromkeys(parameters.TEXT_LIST(value)))
     for start in found:
         if start not in KINDS_OF_START:
             raise click.BadParameter(f"{start!r} is neither given nor linear{did_you_mean(start, KINDS_OF_START)}")
@@ -109,22 +100,24 @@ def starts(value: str) -> tuple[str, ...]:
     default="0:3:7",
     help="Levels of the errors of the starting Euler angles, rad: numbers or FIRST:LAST:COUNT, and always 0 (0:3:7).",
 )
-@click.option("--seeds", type=count, help="How many seeds for each pair of noises (10).")
-@click.option("--seed-list", type=INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
+@click.option("--seeds", type=parameters.count, help="How many seeds for each pair of noises (10).")
+@click.option("--seed-list", type=parameters.INTEGER_LIST, help="The seeds themselves, instead of their number: 3,7.")
 @click.option(
     "--start", type=starts, default=",".join(KINDS_OF_START), help="given (the noisy guess), linear, or both (both)."
 )
 @click.option(
     "--minimum-translation-noise",
-    type=non_negative,
+    type=parameters.non_negative,
     help="Every start must converge up to this, m, without rotation.",
 )
 @click.option(
     "--minimum-rotation-noise",
-    type=non_negative,
+    type=parameters.non_negative,
     help="Every start must converge up to this, rad, without translation.",
 )
-@click.option("--output", type=path, default=Path("output"), help="Folder for results, tables and figures (output).")
+@click.option(
+    "--output", type=parameters.path, default=Path("output"), help="Folder for results, tables and figures (output)."
+)
 @click.pass_context
 def command(
     click_context: click.Context,
@@ -139,7 +132,7 @@ def command(
     The verdict is fail if the start without noise does not converge, or a minimum is not reached.
     """
     runner = Runner.from_environment()
-    options["password_variable"] = password_variable(click_context, options.pop("registry_password"), runner)
+    options["password_variable"] = parameters.password_variable(click_context, options.pop("registry_password"), runner)
     minimums = Minimums(minimum_translation_noise, minimum_rotation_noise)
     asked = _with_seeds(MatrixSettings.of_options(options), start, minimums)
     configuration = configuration_of(asked)

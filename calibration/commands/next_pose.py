@@ -9,17 +9,7 @@ import click
 from calibration.base import ExitCode, InputError
 from calibration.ci.report import publish
 from calibration.ci.workflow import Runner
-from calibration.commands.parameters import (
-    TEXT_LIST,
-    boolean_option,
-    chosen,
-    count,
-    given,
-    integer,
-    path,
-    record_options,
-    system_folder,
-)
+from calibration.commands import parameters
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import ALL_EXACT, Assumptions, Options
 from calibration.pipeline.configuration import DEFAULT_FILE, read_configuration
@@ -32,11 +22,13 @@ MAX_POSES = 40
 
 
 @click.command("next-pose")
-@click.option("--config", type=path, default=DEFAULT_FILE, show_default=True, help="The configuration.")
-@click.option("--systems", type=TEXT_LIST, help="Only these systems (all).")
-@click.option("--count", "poses", type=count, default=COUNT, show_default=True, help="Poses to advise.")
-@click.option("--seed", type=integer, default=1, show_default=True, help="Of the poses that are looked at.")
-@click.option("--output", type=path, default="output/next-pose", show_default=True, help="Folder for the poses.")
+@click.option("--config", type=parameters.path, default=DEFAULT_FILE, show_default=True, help="The configuration.")
+@click.option("--systems", type=parameters.TEXT_LIST, help="Only these systems (all).")
+@click.option("--count", "poses", type=parameters.count, default=COUNT, show_default=True, help="Poses to advise.")
+@click.option("--seed", type=parameters.integer, default=1, show_default=True, help="Of the poses that are looked at.")
+@click.option(
+    "--output", type=parameters.path, default="output/next-pose", show_default=True, help="Folder for the poses."
+)
 def next_pose_command(config: Path, systems: tuple[str, ...] | None, poses: int, seed: int, output: Path) -> ExitCode:
     """Say which poses to record next, what they are expected to bring, and when it is enough.
 
@@ -57,12 +49,16 @@ OF_LIMITS = ("translation-mm", "rotation-deg", "joint-mm", "joint-deg", "guard-b
 
 @click.command("plan-recording")
 @click.option("--system", required=True, help="Folder with robot.urdf, config.yml, simulation.yml; or of datasets/.")
-@record_options(Limits, *OF_LIMITS)
-@boolean_option("--exact", help="Take what is held as exactly known: camera_info, the board, the arm's links.")
-@click.option("--count", "poses", type=count, help="Poses to plan (as many as the limits take, from 8 to 40).")
-@click.option("--seed", type=integer, default=1, show_default=True, help="Of the poses that are looked at.")
+@parameters.record_options(Limits, *OF_LIMITS)
+@parameters.boolean_option(
+    "--exact", help="Take what is held as exactly known: camera_info, the board, the arm's links."
+)
+@click.option(
+    "--count", "poses", type=parameters.count, help="Poses to plan (as many as the limits take, from 8 to 40)."
+)
+@click.option("--seed", type=parameters.integer, default=1, show_default=True, help="Of the poses that are looked at.")
 @click.option("--paper", type=click.Choice(list(PAPER_SIZES_MM)), help="Write the boards too, on this paper.")
-@click.option("--output", type=path, default="output/plan", show_default=True, help="Folder for the plan.")
+@click.option("--output", type=parameters.path, default="output/plan", show_default=True, help="Folder for the plan.")
 def plan_recording_command(
     system: str, exact: bool, poses: int | None, seed: int, paper: str | None, output: Path, **options: Any
 ) -> ExitCode:
@@ -74,8 +70,8 @@ def plan_recording_command(
     runner = Runner.from_environment()
     if poses is not None and poses > MAX_POSES:
         raise InputError(f"--count: found {poses}, expected {MAX_POSES} at most")
-    described = read_system(system_folder(system))
-    limits = chosen(Limits, options) if given(Limits, options, *OF_LIMITS) else Limits()
+    described = read_system(parameters.system_folder(system))
+    limits = parameters.chosen(Limits, options) if parameters.given(Limits, options, *OF_LIMITS) else Limits()
     advised = plan(described, limits, Options(assume=ALL_EXACT if exact else Assumptions()), poses, seed)
     report = next_poses_report({described.name: advised})
     files: dict[str, str | bytes] = {}

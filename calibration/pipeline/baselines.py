@@ -9,16 +9,8 @@ from calibration.base.tables.table import KeyedTable, LabelledRow, read_table
 from calibration.ci.git import Repository
 from calibration.ci.services import event_of
 from calibration.ci.workflow.runner import Event
+from calibration.engine.baseline import document
 from calibration.engine.baseline.calibration_document import CalibrationDocument
-from calibration.engine.baseline.document import (
-    BASELINE_VERSION,
-    MAX_BASELINE_BYTES,
-    Baseline,
-    BaselineUpdate,
-    parse_baseline,
-    read_baseline,
-    updates,
-)
 from calibration.engine.baseline.quality import BaselineSettings
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.finding import FindingKind
@@ -31,7 +23,7 @@ from calibration.pipeline.results import CommitOfRun, PipelineResults, own_detai
 
 def with_accepted(
     matrix: Matrix, settings: BaselineSettings, environment: Mapping[str, str]
-) -> tuple[Matrix, BaselineUpdate]:
+) -> tuple[Matrix, document.BaselineUpdate]:
     """Return the matrix with the accepted calibration of each system, and the changes of the baseline under test.
 
     Args:
@@ -42,7 +34,7 @@ def with_accepted(
     Raises:
         InputError: the file is not a valid baseline.
     """
-    baseline = read_baseline(settings.file)
+    baseline = document.read_baseline(settings.file)
     known = baseline.systems if baseline else {}
     try:
         repository = Repository.around(settings.file.resolve().parent)
@@ -51,7 +43,7 @@ def with_accepted(
     since = settings.file.name + (_last_change(settings.file, repository) if baseline and repository else "")
     systems = (replace(system, accepted=Accepted(settings, known.get(system.name), since)) for system in matrix.systems)
     names = [system.name for system in matrix.systems]
-    found = BaselineUpdate(
+    found = document.BaselineUpdate(
         file=str(settings.file),
         since=since,
         compared=tuple(name for name in names if name in known),
@@ -64,12 +56,12 @@ def with_accepted(
 
 
 def _against_base(
-    found: BaselineUpdate,
-    now: Baseline | None,
+    found: document.BaselineUpdate,
+    now: document.Baseline | None,
     settings: BaselineSettings,
     repository: Repository,
     environment: Mapping[str, str],
-) -> BaselineUpdate:
+) -> document.BaselineUpdate:
     """Return the update with the changes of the base's file; an unreadable base is reported in it."""
     try:
         path = repository.path(settings.file)
@@ -77,12 +69,12 @@ def _against_base(
         if path is None or commit is None:
             return found
         found = replace(found, base=commit)
-        content = repository.content(commit, path, MAX_BASELINE_BYTES)
-        before = None if content is None else parse_baseline(content, f"{commit[:12]}:{path}")
+        content = repository.content(commit, path, document.MAX_BASELINE_BYTES)
+        before = None if content is None else document.parse_baseline(content, f"{commit[:12]}:{path}")
     except CalibrationError as error:
         problem = f"the base branch's baseline cannot be compared with: {error}"
         return replace(found, problem=problem, reasons=(problem,) if settings.required else ())
-    return replace(found, updates=updates(before, now))
+    return replace(found, updates=document.updates(before, now))
 
 
 def _base_commit(repository: Repository, event: Event) -> str | None:
@@ -137,7 +129,7 @@ class AcceptedSystems:
 
     file: Path
     """The baseline's."""
-    baseline: Baseline
+    baseline: document.Baseline
     """With them."""
     datasets: Mapping[str, Path]
     """Dataset of each accepted system."""
@@ -148,8 +140,8 @@ ABOUT_THE_BASELINE: tuple[FindingKind, ...] = ("baseline", "baseline-quality", "
 
 
 def accept(
-    results: PipelineResults, output: Path, names: Sequence[str], although: str | None, before: Baseline | None
-) -> tuple[Baseline, tuple[str, ...]]:
+    results: PipelineResults, output: Path, names: Sequence[str], although: str | None, before: document.Baseline | None
+) -> tuple[document.Baseline, tuple[str, ...]]:
     """Return the baseline with the results of a run.
 
     Args:
@@ -175,7 +167,7 @@ def accept(
     if not accepted:
         raise InputError(f"{output}: there is no calibrated system to accept: run the calibration first")
     systems = {**(before.systems if before else {}), **accepted}
-    return Baseline(BASELINE_VERSION, dict(sorted(systems.items()))), tuple(accepted)
+    return document.Baseline(document.BASELINE_VERSION, dict(sorted(systems.items()))), tuple(accepted)
 
 
 def _accepted_snapshot(

@@ -4,22 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base import InputError, did_you_mean
-from calibration.base.records import (
-    UNIQUE,
-    ByName,
-    Converted,
-    Misfit,
-    Place,
-    at_least,
-    between,
-    excludes,
-    field,
-    length,
-    matching,
-    record,
-    result,
-)
+from calibration.base import InputError, did_you_mean, records
+from calibration.base.records import field, record
 from calibration.base.tables.rules import RuleEntry, RuleSet, checked, unfolded
 from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits
@@ -29,21 +15,21 @@ from calibration.pipeline.matrix.software import Software, checked_software
 from calibration.robot.exports import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs
 
-FormatName = Annotated[str, matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
+FormatName = Annotated[str, records.matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
 COLLECTED_PREFIX = "simulation:"
 """Prefix of a system's dataset that an entry of ``simulation`` collects."""
-Text = Annotated[str, length(1)]
+Text = Annotated[str, records.length(1)]
 
 
-def _dataset_path(text: str, place: Place) -> Path:
+def _dataset_path(text: str, place: records.Place) -> Path:
     return Path(text) if text.startswith(COLLECTED_PREFIX) else place.folder / text
 
 
-def _truth_path(text: str, place: Place) -> str:
+def _truth_path(text: str, place: records.Place) -> str:
     return text if text in ("dataset", "none") else str(place.folder / text)
 
 
-def _rules_from(found: RuleSet | tuple[RuleEntry, ...], place: Place) -> RuleSet:
+def _rules_from(found: RuleSet | tuple[RuleEntry, ...], place: records.Place) -> RuleSet:
     return checked(RuleSet(unfolded(found)) if isinstance(found, tuple) else found, str(place))
 
 
@@ -51,7 +37,7 @@ Undecided = Literal["fail", "pass"]
 Datasets = Literal["full", "changes", "none"]
 Copies = Literal["leave-out", "refuse"]
 """What happens to collections that are exact copies of others."""
-Truth = Annotated[str, Converted(Text, _truth_path)]
+Truth = Annotated[str, records.Converted(Text, _truth_path)]
 """A path, "dataset" or "none"."""
 
 
@@ -59,7 +45,7 @@ Truth = Annotated[str, Converted(Text, _truth_path)]
 class Exports:
     """Exports of a system that passes, in the folder ``exports`` of its first cell that passed."""
 
-    formats: Annotated[tuple[FormatName, ...], UNIQUE] = field(
+    formats: Annotated[tuple[FormatName, ...], records.UNIQUE] = field(
         f"The formats: {', '.join((URDF, *FORMATS))}; by default all that there can be.", default=()
     )
     robot_description: Path | None = field("The robot's URDF or xacro, relative to this file.", default=None)
@@ -72,7 +58,7 @@ class Exports:
             Misfit: it is missing.
         """
         if URDF in self.formats and self.robot_description is None:
-            raise Misfit(f"{URDF} needs robot-description, the robot's own URDF", "formats")
+            raise records.Misfit(f"{URDF} needs robot-description, the robot's own URDF", "formats")
 
 
 @record
@@ -80,7 +66,7 @@ class System:
     """Robot to calibrate."""
 
     name: str
-    dataset: Annotated[Path, Converted(Text, _dataset_path)] = field(
+    dataset: Annotated[Path, records.Converted(Text, _dataset_path)] = field(
         "A folder with dataset.json, or the file, relative to this one; simulation:NAME for what that entry of "
         "simulation collects in this run.",
         option=False,
@@ -100,20 +86,20 @@ class System:
         default=None,
         option="ground_truth.json's path, dataset or none (the file beside the dataset).",
     )
-    compare: Annotated[tuple[Text, ...], UNIQUE] = field(
+    compare: Annotated[tuple[Text, ...], records.UNIQUE] = field(
         "Other methods on the same data, as rows of the same table: opencv-stereo, opencv-stereo-fixed, shah, li, "
         "tsai, park, horaud, andreff, daniilidis, icp, icp-average, icp-best.",
         default=(),
         option="Other methods on the same data: opencv-stereo, shah, tsai, icp, ...",
     )
-    rules: Annotated[RuleSet, Converted(RuleSet | tuple[RuleEntry, ...], _rules_from)] | None = field(
+    rules: Annotated[RuleSet, records.Converted(RuleSet | tuple[RuleEntry, ...], _rules_from)] | None = field(
         "Rules over the table of every cell, as introspect-csv takes them.",
         default=None,
         option=False,
     )
     options: Options = field(flat=True, default_factory=Options)
     limits: Limits = field("The largest values that pass, in every cell.", default_factory=Limits, option=False)
-    tasks: Annotated[tuple[RobotTask, ...], ByName()] = field(
+    tasks: Annotated[tuple[RobotTask, ...], records.ByName()] = field(
         "What the robot does with its calibration, by name: its error there, and a limit of that. With such limits, "
         "those of sensors and joints that are not set ask nothing.",
         default=(),
@@ -125,7 +111,7 @@ class System:
         default="fail",
         option="What an undecided verdict counts as: fail or pass (fail).",
     )
-    software: Annotated[Software, Converted(Software, checked_software)] | None = field(
+    software: Annotated[Software, records.Converted(Software, checked_software)] | None = field(
         "The team's own calibration, in the place of our engine, which then only compares.",
         default=None,
         option=False,
@@ -159,10 +145,10 @@ class System:
         return place.removeprefix(COLLECTED_PREFIX) if place.startswith(COLLECTED_PREFIX) else None
 
 
-Magnitudes = Annotated[tuple[Annotated[float, between(0, 1000)], ...], length(1), UNIQUE]
+Magnitudes = Annotated[tuple[Annotated[float, records.between(0, 1000)], ...], records.length(1), records.UNIQUE]
 
 
-Seeds = Annotated[tuple[Annotated[int, at_least(0)], ...], length(1), UNIQUE]
+Seeds = Annotated[tuple[Annotated[int, records.at_least(0)], ...], records.length(1), records.UNIQUE]
 
 
 def chosen_systems(systems: tuple[System, ...], names: tuple[str, ...]) -> tuple[System, ...]:
@@ -178,7 +164,7 @@ def chosen_systems(systems: tuple[System, ...], names: tuple[str, ...]) -> tuple
     return tuple(known[name] for name in names) if names else systems
 
 
-@result
+@records.result
 class NoiseGrid:
     """Noise of the initial guesses: every combination is one cell of the matrix."""
 
@@ -187,7 +173,7 @@ class NoiseGrid:
     seeds: tuple[int, ...] = field("One start for each.", default=(1,))
 
 
-@record(rules=(excludes("seeds", "seed-list"),))
+@record(rules=(records.excludes("seeds", "seed-list"),))
 class Noise:
     """Noise of the initial guesses: every combination is one cell of the matrix."""
 
@@ -199,7 +185,7 @@ class Noise:
         default=None,
         option="Errors of the starting Euler angles, rad: 0,0.5.",
     )
-    seeds: Annotated[int, between(1, 100_000)] | None = field(
+    seeds: Annotated[int, records.between(1, 100_000)] | None = field(
         "Number of seeds: 1, 2, ...", default=None, option="Number of seeds for each pair of noises (1)."
     )
     seed_list: Seeds | None = field(

@@ -11,19 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-from calibration.base import InputError
-from calibration.base.records import (
-    ByName,
-    Converted,
-    Place,
-    at_least,
-    between,
-    field,
-    matching,
-    needs,
-    one_of,
-    record,
-)
+from calibration.base import InputError, records
+from calibration.base.records import field, record
 from calibration.ci.execution.backends import CONTAINER_BACKENDS, BackendName, ContainerBackend, ExecutionTarget
 from calibration.ci.execution.job import (
     NETWORK_HELP,
@@ -52,8 +41,8 @@ COMMAND_PLACEHOLDERS = ("output", "motion", "system", "seed", "scenario")
 DEFAULT_SECONDS = 3600.0
 
 
-_Name = matching("[a-z0-9][a-z0-9-]{0,62}", "small letters, digits and -")
-_Topic = Annotated[str, matching("/?[A-Za-z0-9_/]+", "the name of a topic or a service")]
+_Name = records.matching("[a-z0-9][a-z0-9-]{0,62}", "small letters, digits and -")
+_Topic = Annotated[str, records.matching("/?[A-Za-z0-9_/]+", "the name of a topic or a service")]
 
 
 @record
@@ -70,10 +59,10 @@ class Ros1Player:
     service: _Topic = field(
         "Service that saves a collection; of any type with an empty request.", default="/collect_data/save_collection"
     )
-    settle: Annotated[float, between(0, 600)] = field("Seconds between the pose and the call.", default=0.5)
+    settle: Annotated[float, records.between(0, 600)] = field("Seconds between the pose and the call.", default=0.5)
 
 
-def _player_from(value: str | Ros1Player, _: Place) -> Ros1Player:
+def _player_from(value: str | Ros1Player, _: records.Place) -> Ros1Player:
     return Ros1Player("ros1") if isinstance(value, str) else value
 
 
@@ -81,7 +70,7 @@ def _player_from(value: str | Ros1Player, _: Place) -> Ros1Player:
 class Applications:
     """Applications that simulate and collect, in place of our own simulation."""
 
-    containers: Annotated[tuple[Container, ...], ByName(_Name)] = field(
+    containers: Annotated[tuple[Container, ...], records.ByName(_Name)] = field(
         "The applications that simulate and collect, in the place of our own: each runs in its container, all in one "
         "network. In their commands {output}, {motion}, {system}, {seed} and {scenario} are filled in.",
         default=(),
@@ -92,7 +81,7 @@ class Applications:
         default="",
         option="Default image of the applications; or image with calibration-ci for scenarios.",
     )
-    player: Annotated[Ros1Player, Converted(Literal["ros1"] | Ros1Player, _player_from)] | None = field(
+    player: Annotated[Ros1Player, records.Converted(Literal["ros1"] | Ros1Player, _player_from)] | None = field(
         "What moves the pattern and asks for collections: ros1 for ours, in the image of the applications; by default "
         "one of the containers does.",
         default=None,
@@ -122,7 +111,7 @@ class Applications:
         return replace(self, containers=containers)
 
 
-def checked_applications(applications: Applications, place: Place) -> Applications:
+def checked_applications(applications: Applications, place: records.Place) -> Applications:
     """Return the applications as they run, with the values of their secrets, after a check of their job.
 
     Raises:
@@ -215,14 +204,14 @@ MAX_SCENARIOS = 100_000
 KEYS_OF_APPLICATIONS = ("player", "ros", "record", "network", "timeout", "dataset", "image", "truth")
 """Keys that only collections by the team's applications have."""
 
-Share = Annotated[float, between(0, 1)]
+Share = Annotated[float, records.between(0, 1)]
 
 
-def _motion_in_folder(text: str, place: Place) -> str:
+def _motion_in_folder(text: str, place: records.Place) -> str:
     return text if text.startswith(GENERATED_PREFIX) else str(place.folder / text)
 
 
-@record(rules=(one_of("translation-mm", "rotation-deg", why="expected translation-mm or rotation-deg"),))
+@record(rules=(records.one_of("translation-mm", "rotation-deg", why="expected translation-mm or rotation-deg"),))
 class CollectionLimits:
     """Limits of the errors of sensors and joints against the truth."""
 
@@ -239,7 +228,7 @@ USUAL_LIMITS = CollectionLimits(translation_mm=5.0, rotation_deg=0.3)
 class CollectionChecks:
     """Limits for a collected dataset; None for no limit."""
 
-    minimum_collections: Annotated[int, at_least(1)] = field(
+    minimum_collections: Annotated[int, records.at_least(1)] = field(
         "Fewer make it fail.", default=3, option="Fewer collections that are kept make it fail (3)."
     )
     minimum_detection_rate: Share | None = field("Share of the poses that every sensor detects, 0 to 1.", default=None)
@@ -262,8 +251,8 @@ class CollectionChecks:
 
 @record(
     rules=(
-        one_of("system", "containers", why="expected a system, or containers that simulate and collect"),
-        *(needs(key, "containers") for key in KEYS_OF_APPLICATIONS),
+        records.one_of("system", "containers", why="expected a system, or containers that simulate and collect"),
+        *(records.needs(key, "containers") for key in KEYS_OF_APPLICATIONS),
     )
 )
 class CollectionRequest:
@@ -299,12 +288,12 @@ class CollectionRequest:
         default=None,
         option="ATOM's calibration configuration, in place of the system's config.yml.",
     )
-    motion: Annotated[str, Converted(Text, _motion_in_folder)] | None = field(
+    motion: Annotated[str, records.Converted(Text, _motion_in_folder)] | None = field(
         "A motion sequence (JSON), or generate:N; by default the system's motion.json.",
         default=None,
         option="Motion sequence (JSON), or generate:N; by default the system's motion.json.",
     )
-    seed: Annotated[int, at_least(0)] = field(
+    seed: Annotated[int, records.at_least(0)] = field(
         "Seed of the noise and of a generated motion.",
         default=1,
         option="Seed of the noise, of a generated motion, of the scenarios (1).",
@@ -321,7 +310,7 @@ class CollectionRequest:
     target: ExecutionTarget | None = None
     """Execution target of the containers; None for this machine's engine."""
 
-    def checked(self, backend: ContainerBackend, place: Place) -> "CollectionRequest":
+    def checked(self, backend: ContainerBackend, place: records.Place) -> "CollectionRequest":
         """Return the request as it runs; its containers use this backend unless it names its own.
 
         Raises:

@@ -26,32 +26,20 @@ from calibration.engine.geometry.rotations import rpy_rates, to_quaternion, to_r
 from calibration.engine.geometry.transforms import distance
 from calibration.engine.tasks.placed_task import COLUMNS_OVER_IMAGE, UNIT_PER_SI
 from calibration.engine.tasks.task_errors import TaskError, errors_of_robot
-from calibration.pipeline.matrix.cell_result import (
-    CellResult,
-    Details,
-    Deviation,
-    ParameterResult,
-    ProjectionResult,
-    RecordingResult,
-    TaskMap,
-    TaskPart,
-    TaskResult,
-    TransformResult,
-    Worth,
-)
+from calibration.pipeline.matrix import cell_result
 
 MAX_CAUSES = 5
 """Limit of the reported contributions to the uncertainty."""
 
 
 def described(
-    result: CellResult,
+    result: cell_result.CellResult,
     calibration: Calibration,
     description: Dataset,
     limits: Limits,
     tasks: Sequence[TaskError] = (),
     truth: Truth | None = None,
-) -> CellResult:
+) -> cell_result.CellResult:
     """Return the result with the calibration's own statistics, and the errors of the robot's tasks.
 
     Raises:
@@ -61,7 +49,7 @@ def described(
     if tasks and truth is not None:
         cameras = {name: sensor.camera for name, sensor in description.sensors.items() if sensor.camera}
         true = with_true_values(calibration.solution.dataset, truth).with_cameras(cameras)
-    details = Details(
+    details = cell_result.Details(
         transforms=tuple(
             _describe_transform(calibration, description, edge)
             for edge in calibration.transforms
@@ -98,13 +86,13 @@ def described(
     )
 
 
-def _describe_task(error: TaskError, used: Dataset, true: Dataset | None) -> TaskResult:
+def _describe_task(error: TaskError, used: Dataset, true: Dataset | None) -> cell_result.TaskResult:
     task = error.task
     off = None
     if true is not None:
         with np.errstate(all="ignore"):  # a point that the true camera does not see has no pixel
             off = UNIT_PER_SI[task.unit] * np.linalg.norm(errors_of_robot(error.placed, true, used), axis=1)
-    return TaskResult(
+    return cell_result.TaskResult(
         name=task.name,
         unit=task.unit,
         limit=task.limit,
@@ -112,14 +100,14 @@ def _describe_task(error: TaskError, used: Dataset, true: Dataset | None) -> Tas
         most=_rounded(error.most[error.worst]),
         typical=_rounded(np.median(error.most)),
         worst=place_in_words(error),
-        parts=tuple(TaskPart(kind, _rounded(sigma)) for kind, sigma in error.parts().items()),
+        parts=tuple(cell_result.TaskPart(kind, _rounded(sigma)) for kind, sigma in error.parts().items()),
         frame=error.placed.frame,
         truth=None if off is None or not np.isfinite(off).any() else _rounded(np.nanmax(off)),
         within=None if off is None else _rounded((off <= error.most).mean()),
     )
 
 
-def _map_of_task(error: TaskError) -> TaskMap:
+def _map_of_task(error: TaskError) -> cell_result.TaskMap:
     """Return a task's error at each of its points: over an image or carried by a frame in the worst pose, else all."""
     placed = error.placed
     if placed.pixels is None:
@@ -127,7 +115,7 @@ def _map_of_task(error: TaskError) -> TaskMap:
     else:
         points, most = placed.pixels, np.full(len(placed.pixels), np.nan)
         np.fmax.at(most, placed.at[1], error.most)
-    return TaskMap(
+    return cell_result.TaskMap(
         name=error.task.name,
         columns=None if placed.pixels is None else COLUMNS_OVER_IMAGE,
         points=tuple(tuple(round(each, 4) for each in point) for point in points.tolist()),
@@ -135,14 +123,16 @@ def _map_of_task(error: TaskError) -> TaskMap:
     )
 
 
-def judged_tasks(tasks: Sequence[TaskResult], findings: Sequence[Finding]) -> tuple[TaskResult, ...]:
+def judged_tasks(
+    tasks: Sequence[cell_result.TaskResult], findings: Sequence[Finding]
+) -> tuple[cell_result.TaskResult, ...]:
     """Return tasks with the state of their limits: by a finding or against the truth, else by what is stated."""
     broken, unsure = (
         {name for each in findings if each.severity == severity for name in each.tasks}
         for severity in ("red", "undecided")
     )
 
-    def judged(task: TaskResult, limit: float) -> TaskResult:
+    def judged(task: cell_result.TaskResult, limit: float) -> cell_result.TaskResult:
         if task.name in broken or (task.truth or 0.0) > limit:
             return replace(task, state="broken")
         return replace(task, state="undecided" if task.name in unsure or task.most > limit else "holds")
@@ -150,7 +140,7 @@ def judged_tasks(tasks: Sequence[TaskResult], findings: Sequence[Finding]) -> tu
     return tuple(each if each.limit is None else judged(each, each.limit) for each in tasks)
 
 
-def documents_of_tasks(tasks: Sequence[TaskResult]) -> dict[str, TaskDocument]:
+def documents_of_tasks(tasks: Sequence[cell_result.TaskResult]) -> dict[str, TaskDocument]:
     """Return tasks as an accepted calibration keeps them, by name."""
     return {each.name: TaskDocument(each.median, each.most, each.unit, each.limit) for each in tasks}
 
@@ -160,14 +150,14 @@ def _rounded(value: float) -> float:
     return float(f"{value:.4g}")
 
 
-def _projection_results(calibration: Calibration) -> tuple[ProjectionResult, ...]:
+def _projection_results(calibration: Calibration) -> tuple[cell_result.ProjectionResult, ...]:
     return tuple(
         _projection_result(name, projection_of(calibration, name), camera.covariance)
         for name, camera in calibration.intrinsics.items()
     )
 
 
-def given_projections(calibration: Calibration) -> tuple[ProjectionResult, ...]:
+def given_projections(calibration: Calibration) -> tuple[cell_result.ProjectionResult, ...]:
     """Return the projections of cameras whose intrinsics are given, and have seen a pattern."""
     found = []
     for name in dict.fromkeys(group.sensor for group in calibration.solution.setup.problem.groups):
@@ -181,7 +171,7 @@ def given_projections(calibration: Calibration) -> tuple[ProjectionResult, ...]:
 
 def _projection_result(
     name: str, found: Projection, covariance: Array, given: LensSource | None = None
-) -> ProjectionResult:
+) -> cell_result.ProjectionResult:
     near, far = found.sigmas(covariance, found.distance), found.sigmas(covariance)
 
     def seen(values: Array, of: Callable[[Array], float]) -> float:
@@ -190,7 +180,7 @@ def _projection_result(
     def cells(values: Array) -> tuple[float, ...]:
         return tuple(np.round(np.nan_to_num(values), 4).ravel().tolist())
 
-    return ProjectionResult(
+    return cell_result.ProjectionResult(
         camera=name,
         model=found.camera.distortion.ros_name,
         width=found.camera.width,
@@ -209,12 +199,12 @@ def _projection_result(
     )
 
 
-def _describe_recording(dataset: Dataset) -> RecordingResult:
+def _describe_recording(dataset: Dataset) -> cell_result.RecordingResult:
     """Describe a dataset; its path is relative to the working directory if it is below it."""
     folder = dataset.path.parent if dataset.path.name == FILE_NAME else dataset.path
     if folder.is_absolute() and folder.is_relative_to(Path.cwd()):
         folder = folder.relative_to(Path.cwd())
-    return RecordingResult(
+    return cell_result.RecordingResult(
         dataset=folder.as_posix(),
         collections=len(dataset.collections),
         sensors=tuple(dataset.sensors),
@@ -229,7 +219,7 @@ def _describe_pattern(pattern: Pattern) -> str:
     return f"{pattern.kind}, {len(pattern.corners)} corners, {1e3 * apart:.4g} mm apart"
 
 
-def _describe_transform(calibration: Calibration, description: Dataset, edge: Edge) -> TransformResult:
+def _describe_transform(calibration: Calibration, description: Dataset, edge: Edge) -> cell_result.TransformResult:
     """Return a calibrated transform with its standard deviations, and its distance from the robot's description.
 
     A twist in the child frame changes the translation by ``R`` times its own, and roll, pitch and yaw by `rpy_rates`.
@@ -247,7 +237,7 @@ def _describe_transform(calibration: Calibration, description: Dataset, edge: Ed
     moved = None
     if described is not None and np.isfinite(described[0]).all() and not np.array_equal(described[0], np.eye(4)):
         moved = distance(described[0], T)
-    return TransformResult(
+    return cell_result.TransformResult(
         *edge,
         tuple(T[:3, 3].tolist()),
         tuple(to_quaternion(T[:3, :3]).tolist()),
@@ -261,13 +251,13 @@ def _describe_transform(calibration: Calibration, description: Dataset, edge: Ed
     )
 
 
-def _largest_causes(worth: Mapping[str, float]) -> tuple[Worth, ...]:
+def _largest_causes(worth: Mapping[str, float]) -> tuple[cell_result.Worth, ...]:
     """Return the contributions to the uncertainty that matter, largest first."""
     largest = sorted(worth.items(), key=lambda each: -each[1])[:MAX_CAUSES]
-    return tuple(Worth(name, round(1e3 * metres, 4)) for name, metres in largest if metres > 0)
+    return tuple(cell_result.Worth(name, round(1e3 * metres, 4)) for name, metres in largest if metres > 0)
 
 
-def _largest_deviation(calibration: Calibration, labels_only: bool = False) -> Deviation | None:
+def _largest_deviation(calibration: Calibration, labels_only: bool = False) -> cell_result.Deviation | None:
     """Return the largest standard deviations of sensors, as norms of three axes, and of joints' parameters."""
     edges = {sensor.edge for sensor in calibration.dataset.sensors.values()} & calibration.covariances.keys()
     if not edges:
@@ -292,7 +282,7 @@ def finite_deviation(
     rotation_deg: float,
     joint_mm: float | None = None,
     joint_deg: float | None = None,
-) -> Deviation:
+) -> cell_result.Deviation:
     """Round to a nanometre and a similarly small angle.
 
     Args:
@@ -310,7 +300,7 @@ def finite_deviation(
             f"{what}: found a number that is not finite, expected millimetres and degrees; look for a label, a "
             "transform or a lens that is far from the others"
         )
-    return Deviation(
+    return cell_result.Deviation(
         round(translation_mm, 6),
         round(rotation_deg, 8),
         None if joint_mm is None else round(joint_mm, 6),
@@ -318,16 +308,18 @@ def finite_deviation(
     )
 
 
-def _describe_lag(sensor: str, lag: CalibratedLag) -> ParameterResult:
-    return ParameterResult(sensor, "lag", lag.seconds, "s", lag.sigma if math.isfinite(lag.sigma) else None)
+def _describe_lag(sensor: str, lag: CalibratedLag) -> cell_result.ParameterResult:
+    return cell_result.ParameterResult(sensor, "lag", lag.seconds, "s", lag.sigma if math.isfinite(lag.sigma) else None)
 
 
-def _describe_parameters(name: str, calibrated: CalibratedJoint | CalibratedIntrinsics) -> list[ParameterResult]:
+def _describe_parameters(
+    name: str, calibrated: CalibratedJoint | CalibratedIntrinsics
+) -> list[cell_result.ParameterResult]:
     """Return the parameters of a joint or a camera, one by one."""
     each = zip(
         calibrated.parameters, calibrated.values.tolist(), calibrated.units, calibrated.sigmas.tolist(), strict=True
     )
     return [
-        ParameterResult(name, parameter, value, unit, sigma if math.isfinite(sigma) else None)
+        cell_result.ParameterResult(name, parameter, value, unit, sigma if math.isfinite(sigma) else None)
         for parameter, value, unit, sigma in each
     ]

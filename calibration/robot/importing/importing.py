@@ -23,23 +23,10 @@ from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.frames import FrameTree
+from calibration.robot.importing.bags import recordings
 from calibration.robot.importing.bags.bag import Bag, open_bag
 from calibration.robot.importing.bags.motion import MotionLog, MovingBoards
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
-from calibration.robot.importing.bags.recordings import (
-    Mounting,
-    SeenImages,
-    chosen_moments,
-    decoded_images,
-    detection_tasks,
-    extracted_images,
-    extracted_ranges,
-    image_at,
-    images_by_camera,
-    images_without_pattern,
-    mounting,
-    root_of,
-)
 from calibration.robot.importing.bags.stillness import BagMoment
 from calibration.robot.importing.bags.survey import Survey, survey
 from calibration.robot.importing.bags.video_packets import ImageReader
@@ -70,7 +57,7 @@ from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.dataset_folder import refuse_existing, replacing_dataset
 from calibration.robot.simulation.record import CONTACT_SHEET_FILE as SHEET
 
-Done = Callable[[int, int, LabelledMoment | SeenImages], None]
+Done = Callable[[int, int, LabelledMoment | recordings.SeenImages], None]
 """Callback after each part: number of finished parts, number of all parts, and the result."""
 
 
@@ -326,7 +313,7 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
     videos = survey_videos(described.sensors)
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
-    def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
+    def finish(seen: Sequence[recordings.SeenImages], folder: Path, jobs: int | None) -> Recorded:
         images = frames_by_camera(videos, seen)
         for name, own in images.items():
             video, frames = videos[name], [image.recorded for image in own]
@@ -348,7 +335,9 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
             return Recorded(configuration, lenses, views, placed, rough=True, lag=max(each.lag for each in some))
 
         log = MotionLog()
-        every = chosen_moments(chosen, images, log, (), ", ".join(str(each.path) for each in videos.values()))
+        every = recordings.chosen_moments(
+            chosen, images, log, (), ", ".join(str(each.path) for each in videos.values())
+        )
         moments, evenly = best_moments(every, chosen.most, of_cameras)
         log.left_out.add(f"more than {chosen.most} moments ('most')", "moments", count=len(every) - len(moments))
         return replace(
@@ -363,7 +352,7 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
     return _Source(
         _hash_of_label_inputs(patterns, [path for video in videos.values() for path in video.files], str(sampled.step)),
         frame_tasks(videos, sampled.step, detectors),
-        decoded_images,
+        recordings.decoded_images,
         finish,
     )
 
@@ -382,7 +371,7 @@ class SurveyedBag:
     """With the root of its frames."""
     patterns: Mapping[str, PatternConfiguration]
     found: Survey
-    mounted: Mounting
+    mounted: recordings.Mounting
     lenses: Mapping[str, KnownLens]
     """Those that are described."""
 
@@ -428,10 +417,10 @@ def surveyed_bag(bag: Bag, described: ImportDescription, lenses: Mapping[str, Kn
         InputError: a topic or a frame is missing or wrong, see `survey` and `mounting`.
     """
     found = survey(bag, described)
-    root = root_of(described, found)
+    root = recordings.root_of(described, found)
     patterns = pattern_configurations(described, root)
     described = replace(described, world=root)
-    return SurveyedBag(described, patterns, found, mounting(described, patterns, found, where), lenses)
+    return SurveyedBag(described, patterns, found, recordings.mounting(described, patterns, found, where), lenses)
 
 
 def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
@@ -439,14 +428,14 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
     surveyed = surveyed_bag(bag, described, lenses, where)
     patterns, found, mounted = surveyed.patterns, surveyed.found, surveyed.mounted
 
-    def finish(seen: Sequence[SeenImages], folder: Path, jobs: int | None) -> Recorded:
-        images = images_by_camera(found, seen)
+    def finish(seen: Sequence[recordings.SeenImages], folder: Path, jobs: int | None) -> Recorded:
+        images = recordings.images_by_camera(found, seen)
         for name, own in images.items():
-            at = partial(image_at, bag, found.cameras[name].topic, reader=ImageReader(bag, found.key_frames))
+            at = partial(recordings.image_at, bag, found.cameras[name].topic, reader=ImageReader(bag, found.key_frames))
             views, recorded = [image.view for image in own], [image.recorded for image in own]
             check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
-        rejected = images_without_pattern(found, images, found.log)
-        every = chosen_moments(bags.moments, images, found.log, mounted.edges, where)
+        rejected = recordings.images_without_pattern(found, images, found.log)
+        every = recordings.chosen_moments(bags.moments, images, found.log, mounted.edges, where)
         moments, evenly = best_moments(every, bags.moments.most, surveyed.recorded)
         found.log.left_out.add(
             f"more than {bags.moments.most} moments ('most')", "moments", count=len(every) - len(moments)
@@ -456,9 +445,9 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
         return replace(
             surveyed.recorded(moments),
             motions=motions,
-            moments=extracted_images(bag, found, moments, folder, jobs),
+            moments=recordings.extracted_images(bag, found, moments, folder, jobs),
             boards=None if bags.moments.only_standstill else boards,
-            ranges=extracted_ranges(bag, found, moments, folder),
+            ranges=recordings.extracted_ranges(bag, found, moments, folder),
             searched=len(every),
             evenly=evenly,
             rejected=rejected,
@@ -470,8 +459,8 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
         _hash_of_label_inputs(
             patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]
         ),
-        detection_tasks(bag, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
-        decoded_images,
+        recordings.detection_tasks(bag, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
+        recordings.decoded_images,
         finish,
     )
 

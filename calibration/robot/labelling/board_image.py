@@ -201,8 +201,7 @@ def refine(image: Image, pixels: Array, jacobians: Array, clearance: float) -> t
 def shortest(jacobians: Array) -> Array:
     """Length (K,) of a unit of the board in the image, in the direction in which it is shortest, px; 0 if unknown."""
     known = np.isfinite(jacobians.sum(axis=(1, 2)))
-    lengths: Array = np.linalg.svd(np.where(known[:, None, None], jacobians, 0.0), compute_uv=False)[:, 1]
-    return lengths
+    return np.linalg.svd(np.where(known[:, None, None], jacobians, 0.0), compute_uv=False)[:, 1]
 
 
 def angles(jacobians: Array) -> Array:
@@ -327,8 +326,7 @@ class PrintedPatches:
 
 def _sample_image(image: Image, at: Array) -> Array:
     x, y = np.moveaxis(at, -1, 0).astype(np.float32)
-    sampled: Array = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
-    return sampled
+    return cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE).astype(float)
 
 
 def _normalise_patches(patches: Array, inside: BoolArray) -> Array:
@@ -342,5 +340,4 @@ def _normalise_patches(patches: Array, inside: BoolArray) -> Array:
 def _is_inside(at: Array, width: int, height: int) -> BoolArray:
     """Return a mask of the pixels (..., 2) inside the image."""
     x, y = at[..., 0], at[..., 1]
-    inside: BoolArray = (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)
-    return inside
+    return (x > -0.5) & (x < width - 0.5) & (y > -0.5) & (y < height - 0.5)

@@ -125,8 +125,7 @@ def away_from_edge(shape: tuple[int, ...], v: IntArray, u: IntArray) -> BoolArra
     near = (np.minimum(v, shape[0] - 1 - v) < EDGE_SHARE * shape[0]) | (
         np.minimum(u, shape[1] - 1 - u) < EDGE_SHARE * shape[1]
     )
-    away: BoolArray = ~near
-    return away
+    return ~near
 
 
 def _thin_region(region: BoolArray, most: int | None) -> BoolArray:

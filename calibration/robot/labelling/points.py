@@ -62,13 +62,11 @@ class BoardPlane:
         """Distance of points (..., N, 3) in the sensor's frame behind the plane, seen from the sensor, m."""
         normal = self.T_sensor_board[:3, 2]
         offset = normal @ self.T_sensor_board[:3, 3]
-        away: Array = (points @ normal - offset) * (1.0 if offset > 0 else -1.0)
-        return away
+        return (points @ normal - offset) * (1.0 if offset > 0 else -1.0)
 
     def on_plane(self, points: Array) -> BoolArray:
         """Return a mask of the points (..., N, 3) on the plane; False for NaN."""
-        on: BoolArray = np.abs(self.behind(points)) <= MAX_INLIER_SIGMAS * self.sigma
-        return on
+        return np.abs(self.behind(points)) <= MAX_INLIER_SIGMAS * self.sigma
 
     def crossing(self, points: Array) -> Array:
         """Return where the rays to points (N, 3) intersect the plane (N, 2), in the board's frame; NaN if nowhere."""

@@ -36,8 +36,7 @@ def scan_line_ends(pattern: Pattern, T_sensor_pattern: Array) -> Array:
         places = corners + (z0 / (z0 - z1))[..., None] * (following - corners)
     order = np.argsort(~crosses, axis=-1, kind="stable")[..., :2]
     ends = np.take_along_axis(places[..., :2], order[..., None], axis=-2)
-    cut: Array = np.where(crosses.any(-1)[..., None, None], ends, np.nan)
-    return cut
+    return np.where(crosses.any(-1)[..., None, None], ends, np.nan)
 
 
 LEAST_POINTS = 5

@@ -19,16 +19,7 @@ from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS, SYNONYMS
 from calibration.engine.geometry.transforms import inverse, transform
-from calibration.robot.importing.files.other_cameras import (
-    as_camera_info,
-    aslam_as_camera_info,
-    basalt_as_camera_info,
-    camodocal_as_camera_info,
-    choose_camera,
-    flat_numbers,
-    metrical_as_camera_info,
-    visp_as_camera_info,
-)
+from calibration.robot.importing.files import other_cameras
 from calibration.robot.importing.files.structured_files import read_structured
 
 KALIBR_MODELS = {
@@ -139,7 +130,7 @@ def _with_coefficients(root: Node, path: Path) -> Node:
     coefficients = other if isinstance(other.value, list) else _first_present(other, _KEYS_OF_VALUE["D"])
     if coefficients is None:
         raise other.fault(f"found no coefficients, expected numbers alone, or one of {', '.join(_KEYS_OF_VALUE['D'])}")
-    return Node(root.file, (), {**root.mapping(), "D": flat_numbers(coefficients)})
+    return Node(root.file, (), {**root.mapping(), "D": other_cameras.flat_numbers(coefficients)})
 
 
 def known_model(path: Path, model: str) -> str:
@@ -156,16 +147,16 @@ def known_model(path: Path, model: str) -> str:
 def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
     document = root.mapping()
     if "value0" in document:
-        info, T_chain_camera = basalt_as_camera_info(root, name)
+        info, T_chain_camera = other_cameras.basalt_as_camera_info(root, name)
         return KnownLens(root.file, read_camera(info), has_size=True, T_chain_camera=T_chain_camera)
     if "components" in document:
-        root, name = metrical_as_camera_info(root["components"], name), None
+        root, name = other_cameras.metrical_as_camera_info(root["components"], name), None
     elif "camera" in document and isinstance(document["camera"], dict) and "model" in document["camera"]:
-        root = visp_as_camera_info(root["camera"])
+        root = other_cameras.visp_as_camera_info(root["camera"])
     elif "model_type" in document:
-        root = camodocal_as_camera_info(root)
+        root = other_cameras.camodocal_as_camera_info(root)
     elif cameras := _cameras_by_name(root):
-        chosen = choose_camera(root, list(cameras), name)
+        chosen = other_cameras.choose_camera(root, list(cameras), name)
         node, name = cameras[chosen], None
         if "camera_info" in node.value:
             return _of_our_calibration(node)
@@ -177,7 +168,7 @@ def _read_lens(root: Node, name: str | None, model: str | None) -> KnownLens:
     if name is not None:
         raise root.fault(f"has one camera without a name, expected '{name}': leave out 'camera'")
     if "intrinsics" in root.value and isinstance(root.value.get("distortion"), dict) and "type" in root.value:
-        root = aslam_as_camera_info(root)
+        root = other_cameras.aslam_as_camera_info(root)
     return _camera_info(root, model)
 
 
@@ -206,13 +197,13 @@ def _of_our_calibration(node: Node) -> KnownLens:
 def _of_our_storage(root: Node, numbered: list[str], name: str | None) -> KnownLens:
     """Parse a camera in the FileStorage of ``export``: ``name_0``, ``size_0``, ``model_0``, ``K_0``, ``D_0``."""
     names = {root[f"name_{number}"].text(): number for number in numbered}
-    number = names[choose_camera(root, list(names), name)]
-    width, height = Node(root.file, (f"size_{number}",), flat_numbers(root[f"size_{number}"])).numbers(2)
+    number = names[other_cameras.choose_camera(root, list(names), name)]
+    width, height = Node(root.file, (f"size_{number}",), other_cameras.flat_numbers(root[f"size_{number}"])).numbers(2)
     info = {
         "width": width,
         "height": height,
-        "K": flat_numbers(root[f"K_{number}"]),
-        "D": flat_numbers(root[f"D_{number}"]),
+        "K": other_cameras.flat_numbers(root[f"K_{number}"]),
+        "D": other_cameras.flat_numbers(root[f"D_{number}"]),
         "distortion_model": root[f"model_{number}"].text(),
     }
     return KnownLens(root.file, read_camera(Node(root.file, root.keys, info)), has_size=True)
@@ -230,7 +221,7 @@ def _read_kalibr_lens(node: Node) -> KnownLens:
     before = model.kalibr.intrinsics if model.kalibr else 0
     numbers = node["intrinsics"].numbers(before + 4)
     D = [*numbers[:before], *(coefficients.sequence() if coefficients else [])]
-    info = as_camera_info(node, numbers[before:], D, model.ros_name, node["resolution"].numbers(2))
+    info = other_cameras.as_camera_info(node, numbers[before:], D, model.ros_name, node["resolution"].numbers(2))
     return KnownLens(node.file, read_camera(info), has_size=True)
 
 
@@ -266,7 +257,7 @@ def _rigid_transform(node: Node) -> Array:
 def _flat_matrix(node: Node) -> list[Any]:
     """Return a camera's matrix as a flat list, from its numbers, or from fx, fy, cx, cy (librealsense: ppx, ppy)."""
     if not isinstance(node.value, dict) or "fx" not in node.value:
-        return flat_numbers(node)
+        return other_cameras.flat_numbers(node)
     principal_point = ("ppx", "ppy") if "ppx" in node.value else ("cx", "cy")
     fx, fy, cx, cy = (node[key].number() for key in ("fx", "fy", *principal_point))
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
@@ -282,7 +273,7 @@ def _camera_info(root: Node, model: str | None) -> KnownLens:
             "OpenCV's FileStorage (camera_matrix or K)"
         )
     D = found.get("D")
-    coefficients = flat_numbers(D) if D else []
+    coefficients = other_cameras.flat_numbers(D) if D else []
     stated = model or _stated_model(root)
     if not stated and len(coefficients) == AMBIGUOUS_COEFFICIENTS and any(coefficients) and D:
         raise D.fault(
@@ -297,7 +288,7 @@ def _camera_info(root: Node, model: str | None) -> KnownLens:
     }
     if (size := _first_present(root, _SIZE_KEYS)) is not None:
         named = isinstance(size.value, dict) and "width" in size.value
-        sides = [size[key].value for key in ("width", "height")] if named else flat_numbers(size)
+        sides = [size[key].value for key in ("width", "height")] if named else other_cameras.flat_numbers(size)
         info["width"], info["height"] = Node(size.file, size.keys, sides).numbers(2)
     elif "width" in found and "height" in found:
         info |= {"width": found["width"].value, "height": found["height"].value}
@@ -340,7 +331,7 @@ def _read_standard_deviations(root: Node, info: Mapping[str, Any]) -> LensUncert
     found: dict[str, float] = {}
     for keys, of in _DEVIATION_KEYS:
         if (node := _first_present(root, keys)) is not None:
-            flat = Node(root.file, node.keys, flat_numbers(node))
+            flat = Node(root.file, node.keys, other_cameras.flat_numbers(node))
             values = [each.within(0, MAX_INTRINSIC) for each in flat.elements()]
             found |= {name: value for name, value in zip(names[of], values, strict=False) if value > 0}
     parameters = tuple(name for name in names if name in found)

@@ -137,8 +137,7 @@ class PoseForm:
         parts = [rotations.exp(angle * np.eye(3)["xyz".index(euler[i + 1])]) for i, angle in enumerate(radians)]
         if euler[4] == "extrinsic":
             parts.reverse()
-        R: Array = parts[0] @ parts[1] @ parts[2]
-        return R
+        return parts[0] @ parts[1] @ parts[2]
 
 
 def _of_quaternion(q: Array, where: str) -> Array:

@@ -10,6 +10,7 @@ import numpy as np
 from calibration.base import InputError
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
+from calibration.robot.importing import near_miss
 from calibration.robot.importing.bags.bag import BAG_ENDINGS, NS_PER_S, open_bag
 from calibration.robot.importing.bags.stillness import MAX_GAP_SECONDS, MAX_STILL_MOTION_PX
 from calibration.robot.importing.bags.video_packets import ImageReader
@@ -18,17 +19,6 @@ from calibration.robot.importing.files.pictures import IMAGE_ENDINGS, find_pictu
 from calibration.robot.importing.files.samples import read_samples
 from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.image_views import read_image
-from calibration.robot.importing.near_miss import (
-    LOOKED_AT,
-    MAX_BOARD_SEARCHES,
-    MIN_BOARD_MARKERS,
-    Family,
-    shown_board,
-    shown_chessboard,
-    shown_circles,
-    shown_markers,
-    shown_tags,
-)
 from calibration.robot.importing.videos import decoded_frames, survey_videos
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import CornerDetector, Image, grey
@@ -194,25 +184,31 @@ def pattern_in(images: Sequence[Image]) -> LookedFor | None:
 
     A board with markers of a known dictionary, a chessboard, a grid of circles, or single tags.
     """
-    some = [_reduce_image(image)[0] for image in images[:: -(-len(images) // LOOKED_AT)]] if images else []
-    markers = shown_markers(some)
-    if board := shown_board(markers):
+    some = [_reduce_image(image)[0] for image in images[:: -(-len(images) // near_miss.LOOKED_AT)]] if images else []
+    markers = near_miss.shown_markers(some)
+    if board := near_miss.shown_board(markers):
         return _board_with(*board)
-    if pattern := shown_chessboard(some) or shown_circles(some) or shown_tags(markers):
+    if pattern := near_miss.shown_chessboard(some) or near_miss.shown_circles(some) or near_miss.shown_tags(markers):
         return _as_looked_for(pattern)
-    board = shown_board(shown_markers(some[:: -(-len(some) // MAX_BOARD_SEARCHES)], small=True)) if some else None
+    board = (
+        near_miss.shown_board(
+            near_miss.shown_markers(some[:: -(-len(some) // near_miss.MAX_BOARD_SEARCHES)], small=True)
+        )
+        if some
+        else None
+    )
     return _board_with(*board) if board else None
 
 
-def _board_with(family: Family, highest: int) -> LookedFor:
+def _board_with(family: near_miss.Family, highest: int) -> LookedFor:
     finder = family.finder()
 
     def find(image: Image) -> CornerLabels:
         small, scale = _reduce_image(image)
         found = finder.find(small)
-        if len(found) < MIN_BOARD_MARKERS:
+        if len(found) < near_miss.MIN_BOARD_MARKERS:
             found = finder.find_small(small)
-        if len(found) < MIN_BOARD_MARKERS:
+        if len(found) < near_miss.MIN_BOARD_MARKERS:
             return NO_LABELS
         ids = 4 * np.repeat(found.ids, 4) + np.tile(np.arange(4), len(found))
         return CornerLabels(ids, found.corners.reshape(-1, 2) * scale)

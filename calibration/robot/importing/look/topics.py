@@ -8,19 +8,10 @@ import numpy as np
 
 from calibration.base import InputError
 from calibration.engine.dataset.model import Edge
+from calibration.robot.importing.bags import survey
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
 from calibration.robot.importing.bags.messages import frame_of
 from calibration.robot.importing.bags.motion import STILL_M, STILL_RAD, MotionLog
-from calibration.robot.importing.bags.survey import (
-    MODALITY_OF_MESSAGE,
-    RecordedLens,
-    add_described_robot,
-    add_motion,
-    cameras_of,
-    info_topic,
-    is_rectified,
-    motion_topics,
-)
 from calibration.robot.importing.bags.video_packets import KeyFrames
 from calibration.robot.importing.description import ImportDescription, SensorDescription
 from calibration.robot.importing.look.images import MAX_CAMERAS
@@ -86,12 +77,12 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
         InputError: it is damaged, or a message of frames or joints is.
     """
     found = described.sensors if described else ()
-    cameras = (found or cameras_of(bag))[:MAX_CAMERAS]
+    cameras = (found or survey.cameras_of(bag))[:MAX_CAMERAS]
     times = {topic: TopicTimes() for topic in bag.topics}
     infos, faults = _info_topics(bag, cameras)
-    lenses = {topic: RecordedLens(topic) for topic in infos.values()}
+    lenses = {topic: survey.RecordedLens(topic) for topic in infos.values()}
     info_faults: dict[str, str] = {}
-    moving, stamped = motion_topics(bag), {*bag.of_type(*MODALITY_OF_MESSAGE)}
+    moving, stamped = survey.motion_topics(bag), {*bag.of_type(*survey.MODALITY_OF_MESSAGE)}
     key_frames, shown = KeyFrames(bag), {each.topic for each in cameras}
     by_recording = {each.topic for each in cameras if each.stamps == "recorded"}
     log, first, size, count, is_cut = MotionLog(), dict[str, RawMessage](), 0, 0, False
@@ -107,14 +98,14 @@ def read_content(bag: Bag, described: ImportDescription | None) -> BagContent:
             if message.topic in shown:
                 key_frames.add(message)
         elif message.topic in moving:
-            add_motion(bag, message, log)
+            survey.add_motion(bag, message, log)
         elif message.topic in lenses and message.topic not in info_faults:
             try:
                 lenses[message.topic].add(bag, message)
             except InputError as error:
                 info_faults[message.topic] = str(error)
     if described:
-        add_described_robot(described, log)
+        survey.add_described_robot(described, log)
     words = {}
     for camera in cameras:
         topic = infos.get(camera.name, "")
@@ -135,20 +126,20 @@ def _info_topics(bag: Bag, cameras: Collection[SensorDescription]) -> tuple[dict
     infos, faults = {}, {}
     for camera in cameras:
         try:
-            if camera.intrinsics is None and (topic := info_topic(bag, camera)):
+            if camera.intrinsics is None and (topic := survey.info_topic(bag, camera)):
                 infos[camera.name] = topic
         except InputError as error:
             faults[camera.name] = str(error)
     return infos, faults
 
 
-def _lens_in_words(camera: SensorDescription, lens: RecordedLens | None, times: TopicTimes | None) -> str:
+def _lens_in_words(camera: SensorDescription, lens: survey.RecordedLens | None, times: TopicTimes | None) -> str:
     if camera.intrinsics is not None:
         return Path(camera.intrinsics).name
     if lens is None or times is None or not times.recorded:
         return "none"
     try:
-        known = lens.camera(is_rectified(camera.topic or ""))
+        known = lens.camera(survey.is_rectified(camera.topic or ""))
     except InputError as error:
         return str(error)
     if known is None:
