@@ -194,23 +194,12 @@ def _of_pose(system: str, name: str, entries: Sequence[tuple[Commit, Calibration
     if creeps(moved, noise, at):
         at, crept = [], round(1e3 * float(np.linalg.norm(moved[-1, :3] - moved[0, :3])), 4)
     levels = np.split(moved, at)
-    steps = tuple(
-        LevelStep(
-            commit=entries[i][0].hash,
-            date=entries[i][0].date,
-            subject=entries[i][0].subject,
-            mm=round(1e3 * float(np.linalg.norm(_step_between(levels, k)[:3])), 6),
-            deg=round(float(np.degrees(np.linalg.norm(_step_between(levels, k)[3:]))), 8),
-        )
-        for k, i in enumerate(at)
-    )
-    return Trend(
-        system=system,
-        name=name,
-        points=tuple(_trend_point(*entry, twist) for entry, twist in zip(entries, moved, strict=True)),
-        steps=steps,
-        crept_mm=crept,
-    )
+    steps = [_level_step(entries[i][0], levels, k) for k, i in enumerate(at)]
+    points = [
+        _trend_point(commit, snapshot, twist, pose.norm_mm)
+        for (commit, snapshot, pose), twist in zip(entries, moved, strict=True)
+    ]
+    return Trend(system=system, name=name, points=tuple(points), steps=tuple(steps), crept_mm=crept)
 
 
 def _stated_deviation(poses: Sequence[CalibratedPose]) -> Array:
@@ -220,19 +209,29 @@ def _stated_deviation(poses: Sequence[CalibratedPose]) -> Array:
     return np.maximum(np.median(sigmas, axis=0), MIN_NOISE) if sigmas else MIN_NOISE
 
 
-def _step_between(levels: Sequence[Array], k: int) -> Array:
-    step: Array = levels[k + 1].mean(axis=0) - levels[k].mean(axis=0)
-    return step
+def _level_step(commit: Commit, levels: Sequence[Array], k: int) -> LevelStep:
+    """Return the step after a level of twists (N, 6), or of RMS (N, 1)."""
+    step = levels[k + 1].mean(axis=0) - levels[k].mean(axis=0)
+    return LevelStep(
+        commit=commit.hash,
+        date=commit.date,
+        subject=commit.subject,
+        mm=round(1e3 * float(np.linalg.norm(step[:3])), 6) if len(step) == 6 else 0.0,
+        deg=round(float(np.degrees(np.linalg.norm(step[3:]))), 8),
+        rms_px=round(float(step[0]), 6) if len(step) == 1 else None,
+    )
 
 
-def _trend_point(commit: Commit, snapshot: CalibrationDocument, pose: CalibratedPose, twist: Array) -> Point:
+def _trend_point(
+    commit: Commit, snapshot: CalibrationDocument, twist: Sequence[float] | Array, sigma_mm: float
+) -> Point:
     return Point(
         commit=commit.hash,
         date=commit.date,
         subject=commit.subject,
         translation_mm=tuple(round(1e3 * float(v), 6) for v in twist[:3]),
         rotation_deg=tuple(round(float(np.degrees(v)), 8) for v in twist[3:]),
-        sigma_mm=pose.norm_mm,
+        sigma_mm=sigma_mm,
         rms_px=snapshot.rms_px,
     )
 
@@ -245,31 +244,9 @@ def _of_rms(system: str, entries: Sequence[tuple[Commit, CalibrationDocument]]) 
     noise = noise_of(values, np.array([typical / np.sqrt(4 * float(np.median(views)))]))
     at = change_points(values, noise)
     levels = np.split(values, at)
-    return Trend(
-        system=system,
-        name="RMS",
-        points=tuple(
-            Point(
-                commit=commit.hash,
-                date=commit.date,
-                subject=commit.subject,
-                translation_mm=(),
-                rotation_deg=(),
-                sigma_mm=0.0,
-                rms_px=snapshot.rms_px,
-            )
-            for commit, snapshot in entries
-        ),
-        steps=tuple(
-            LevelStep(
-                commit=entries[i][0].hash,
-                date=entries[i][0].date,
-                subject=entries[i][0].subject,
-                rms_px=round(float(_step_between(levels, k)[0]), 6),
-            )
-            for k, i in enumerate(at)
-        ),
-    )
+    points = [_trend_point(commit, snapshot, (), 0.0) for commit, snapshot in entries]
+    steps = [_level_step(entries[i][0], levels, k) for k, i in enumerate(at)]
+    return Trend(system=system, name="RMS", points=tuple(points), steps=tuple(steps))
 
 
 MAX_PANELS = 24

@@ -68,35 +68,20 @@ def _draw_panel(axes: "Axes", map_: ConvergenceMap, rectangle: "type[Rectangle]"
             colour = "white" if 100 * pair.share < _MAX_DARK_PERCENT else "black"
             weight = "bold" if pair.always else "normal"
             axes.text(x, y, pair.percent, ha="center", va="center", color=colour, fontsize=8, fontweight=weight)
-    axes.set_xticks(
-        range(len(map_.rotations)), [number_text(r) for r in map_.rotations], rotation=_label_rotation(map_.rotations)
-    )
+    rotations = [number_text(r) for r in map_.rotations]
+    slant = 45.0 if max(map(len, rotations)) > 4 else 0.0  # degrees: long labels would overlap
+    axes.set_xticks(range(len(rotations)), rotations, rotation=slant)
     axes.set_yticks(range(len(map_.translations)), [number_text(t) for t in map_.translations])
     axes.set(xlabel="Rotation noise (rad)", ylabel="Translation noise (m)")
-    axes.set_title(f"{shorten(one_line(map_.name), 60)}\n{_largest_text(map_)}", fontsize=9)
-    _draw_outline(axes, map_, rectangle)
-
-
-def _label_rotation(levels: tuple[float, ...]) -> float:
-    """Return the rotation of labels in degrees: long ones would overlap."""
-    return 45.0 if max(len(number_text(level)) for level in levels) > 4 else 0.0
-
-
-def _largest_text(map_: ConvergenceMap) -> str:
-    if map_.largest.diagonal is None:
-        return "not even without noise"
-    translation, rotation = map_.largest.diagonal
-    return f"all, up to {number_text(translation)} m with {number_text(rotation)} rad (outlined)"
-
-
-def _draw_outline(axes: "Axes", map_: ConvergenceMap, rectangle: "type[Rectangle]") -> None:
-    """Mark the cells up to the largest diagonal noise."""
-    if map_.largest.diagonal is not None:
+    title, text = shorten(one_line(map_.name), 60), "not even without noise"
+    if map_.largest.diagonal is not None:  # the cells up to it are outlined
         translation, rotation = map_.largest.diagonal
+        text = f"all, up to {number_text(translation)} m with {number_text(rotation)} rad (outlined)"
         width, height = map_.rotations.index(rotation) + 1, map_.translations.index(translation) + 1
         box = rectangle((-0.5, -0.5), width, height, fill=False, edgecolor=_OUTLINE_COLOUR, linewidth=2, clip_on=False)
         box.set_zorder(3)
         axes.add_patch(box)
+    axes.set_title(f"{title}\n{text}", fontsize=9)
 
 
 SCHEMA_FILE = Path(__file__).with_name("convergence.schema.json")

@@ -18,7 +18,7 @@ import numpy as np
 
 from calibration import __version__
 from calibration.base import InputError, temporary_folder
-from calibration.base.records import document_of, read
+from calibration.base.records import read, text_of
 from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import identity, run_tasks, workspace
 from calibration.engine.diagnosis.limits import Limits
@@ -88,7 +88,7 @@ def run_sweep(
     """
     with ExitStack() as stack:
         tasks = []
-        work = stack.enter_context(workspace(output, _hash_of_inputs(matrices), _cell_as_text, _cell_from_text))
+        work = stack.enter_context(workspace(output, _hash_of_inputs(matrices), text_of, _cell_from_text))
         cells = stack.enter_context(temporary_folder(parent=work.folder, ignore_cleanup_errors=True))
         for matrix in matrices:
             start = matrix.systems[0].options.start
@@ -120,10 +120,6 @@ def _files_of_system(system: System) -> Iterator[Path]:
     for path in (system.options.intrinsics_covariance, Path(system.truth) if system.truth else None):
         if isinstance(path, Path) and path.is_file():
             yield path
-
-
-def _cell_as_text(cell: CellResult) -> str:
-    return json.dumps(document_of(cell))
 
 
 def _cell_from_text(text: bytes) -> CellResult:

@@ -287,7 +287,7 @@ class FollowedBag:
             return
         detectors = {name: corner_detector(pattern) for name, pattern in surveyed.patterns.items()}
         seen = list(run_tasks(detection_tasks(bag, some, detectors), workers=1).values())
-        for name, own in images_by_camera(some, seen).items():
+        for name, own in images_by_camera({name: each.stamps for name, each in some.cameras.items()}, seen).items():
             self._images.setdefault(name, []).extend(own)
             self._searched[name] = max(some.cameras[name].stamps)
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration import MAX_IMAGE_PIXELS
-from calibration.base import InputError, read_bytes
+from calibration.base import InputError, read_bytes, write_atomically
 from calibration.base.records import field, result
 from calibration.engine.dataset.configuration import PatternConfiguration
 from calibration.engine.dataset.model import CornerLabels
@@ -223,6 +223,16 @@ def thumbnail(image: Image) -> Image:
     height, width = image.shape[:2]
     size = (max(1, round(PICTURE_HEIGHT_PX / height * width)), PICTURE_HEIGHT_PX)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def write_image(image: Image, path: Path) -> None:
+    """Write an image as PNG, and its thumbnail.
+
+    Raises:
+        InfrastructureError: they cannot be written.
+    """
+    write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
+    write_atomically(path, encoded(image))
 
 
 def thumbnail_of(path: Path) -> Path:

@@ -50,7 +50,7 @@ from calibration.robot.importing.image_views import LabelledMoment, View, check_
 from calibration.robot.importing.near_miss import check_told_apart
 from calibration.robot.importing.recorded import Recorded, best_moments, check_seen, check_views, imported_moments
 from calibration.robot.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
-from calibration.robot.importing.videos import extracted_frames, frame_tasks, frames_by_camera, survey_videos
+from calibration.robot.importing.videos import extracted_frames, frame_tasks, survey_videos
 from calibration.robot.labelling.corner_detector import corner_detector
 from calibration.robot.labelling.detection import NotDetected
 from calibration.robot.labelling.points import PatternPoints
@@ -314,7 +314,7 @@ def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) 
     detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def finish(seen: Sequence[recordings.SeenImages], folder: Path, jobs: int | None) -> Recorded:
-        images = frames_by_camera(videos, seen)
+        images = recordings.images_by_camera({name: video.stamps for name, video in videos.items()}, seen)
         for name, own in images.items():
             video, frames = videos[name], [image.recorded for image in own]
             check_seen(
@@ -429,7 +429,7 @@ def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mappi
     patterns, found, mounted = surveyed.patterns, surveyed.found, surveyed.mounted
 
     def finish(seen: Sequence[recordings.SeenImages], folder: Path, jobs: int | None) -> Recorded:
-        images = recordings.images_by_camera(found, seen)
+        images = recordings.images_by_camera({name: camera.stamps for name, camera in found.cameras.items()}, seen)
         for name, own in images.items():
             at = partial(recordings.image_at, bag, found.cameras[name].topic, reader=ImageReader(bag, found.key_frames))
             views, recorded = [image.view for image in own], [image.recorded for image in own]

@@ -9,14 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base import InputError, read_bytes, write_atomically
+from calibration.base import InputError, read_bytes
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.robot.importing.bags.bag import NS_PER_S
 from calibration.robot.importing.bags.recordings import SeenImage, SeenImages
-from calibration.robot.importing.bags.stillness import BagImage, BagMoment
+from calibration.robot.importing.bags.stillness import BagMoment
 from calibration.robot.importing.description import SensorDescription
 from calibration.robot.importing.files.confined_decoding import FRAME_HEADER, confined_decoding
-from calibration.robot.importing.image_views import LabelledMoment, encoded, thumbnail, thumbnail_of, view_of_image
+from calibration.robot.importing.image_views import (
+    LabelledMoment,
+    view_of_image,
+    write_image,
+)
 from calibration.robot.labelling.detection import CornerDetector, Image
 
 MAX_FRAMES = 200_000
@@ -167,16 +171,6 @@ def frame_tasks(
     return tasks
 
 
-def frames_by_camera(videos: Mapping[str, Video], seen: Sequence[SeenImages]) -> dict[str, list[BagImage]]:
-    """Return the searched frames of each camera, sorted by stamp; what locates a frame is its index."""
-    images: dict[str, list[BagImage]] = {name: [] for name in videos}
-    for part in seen:
-        for image in part.images:
-            stamp = videos[image.sensor].stamps[image.recorded]
-            images[image.sensor].append(BagImage(image.sensor, stamp, image.recorded, image.view))
-    return {name: sorted(own, key=lambda image: image.stamp) for name, own in images.items()}
-
-
 def extracted_frames(
     videos: Mapping[str, Video], moments: Sequence[BagMoment], folder: Path, jobs: int | None
 ) -> list[LabelledMoment]:
@@ -193,9 +187,7 @@ def extracted_frames(
     def extract(name: str, frames: Sequence[int]) -> int:
         for frame in decoded_frames(videos[name].path, frames, max(frames) + 1):
             if frame.image is not None:
-                path = file_of(name, frame.index)
-                write_atomically(thumbnail_of(path), encoded(thumbnail(frame.image)))
-                write_atomically(path, encoded(frame.image))
+                write_image(frame.image, file_of(name, frame.index))
         if missing := [index for index in frames if not file_of(name, index).exists()]:
             raise InputError(f"{videos[name].path}: frame {missing[0]} is gone")
         return len(frames)

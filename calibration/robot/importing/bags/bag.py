@@ -338,6 +338,10 @@ class Bag:
             raise InputError(f"{self.path}: {message.topic}: found a message of {len(message.data)} bytes") from None
         return seconds * NS_PER_S + rest or message.recorded
 
+    def place(self, message: RawMessage) -> str:
+        """Return the file, the topic and the stamp of a message, for messages of errors."""
+        return f"{self.path}: {message.topic} at {self.stamp(message) / NS_PER_S:.3f}"
+
     def without_stamp(self, message: RawMessage) -> bytes:
         """Return the bytes of a message that begins with a header, without its number and stamp."""
         return message.data[12:]

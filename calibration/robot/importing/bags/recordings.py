@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.base import InputError, read_bytes, write_atomically
+from calibration.base import InputError, read_bytes
 from calibration.base.arrays import Array
 from calibration.base.records import field, read, result
 from calibration.ci.execution.tasks import Task, run_tasks
 from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.engine.dataset.model import Edge
 from calibration.engine.geometry.frames import FrameTree
-from calibration.robot.importing.bags.bag import NS_PER_S, Bag, RawMessage
+from calibration.robot.importing.bags.bag import NS_PER_S, Bag
 from calibration.robot.importing.bags.motion import MotionLog
 from calibration.robot.importing.bags.range_views import RANGE_MODALITIES, RangeView
 from calibration.robot.importing.bags.stillness import BagImage, BagMoment, evenly, moments_at, still_moments
@@ -34,13 +34,11 @@ from calibration.robot.importing.description import (
 from calibration.robot.importing.image_views import (
     LabelledMoment,
     View,
-    encoded,
-    thumbnail,
-    thumbnail_of,
     view_of_image,
+    write_image,
 )
 from calibration.robot.importing.results import RejectedView
-from calibration.robot.labelling.detection import CornerDetector, DepthImage, Image
+from calibration.robot.labelling.detection import CornerDetector, Image
 
 AT_ONCE = 20
 """Images of one task, whose result is stored; a long last task leaves the other processes idle."""
@@ -84,23 +82,26 @@ def detection_tasks(bag: Bag, found: Survey, detectors: Mapping[str, CornerDetec
         for message, image in reader.images(topics, start, stop):
             key = name, recorded = topics[message.topic], message.recorded
             if recorded in found.cameras[name].stamps and key not in images:
-                view = view_of_image(image(), _place_of_message(bag, message), detectors)
+                view = view_of_image(image(), bag.place(message), detectors)
                 images[key] = SeenImage(name, recorded, view)
         return SeenImages(tuple(images.values()))
 
     return [Task.call(f"{i}", partial(detect, *ends)) for i, ends in enumerate(pairwise(bounds))]
 
 
-def _place_of_message(bag: Bag, message: RawMessage) -> str:
-    return f"{bag.path}: {message.topic} at {bag.stamp(message) / NS_PER_S:.3f}"
+def images_by_camera(
+    stamps: Mapping[str, Mapping[int, int] | Sequence[int]], seen: Sequence[SeenImages]
+) -> dict[str, list[BagImage]]:
+    """Return the images of each camera, sorted by stamp.
 
-
-def images_by_camera(found: Survey, seen: Sequence[SeenImages]) -> dict[str, list[BagImage]]:
-    """Return the images of each camera, sorted by stamp."""
-    images: dict[str, list[BagImage]] = {name: [] for name in found.cameras}
+    Args:
+        stamps: by camera; of each image, by its recording time or the number of a video's frame.
+        seen: the images.
+    """
+    images: dict[str, list[BagImage]] = {name: [] for name in stamps}
     for part in seen:
         for image in part.images:
-            stamp = found.cameras[image.sensor].stamps[image.recorded]
+            stamp = stamps[image.sensor][image.recorded]
             images[image.sensor].append(BagImage(image.sensor, stamp, image.recorded, image.view))
     return {name: sorted(own, key=lambda image: image.stamp) for name, own in images.items()}
 
@@ -203,7 +204,7 @@ def extracted_images(
             for name, image in moment.images.items():
                 path = folder / f"{name.replace('/', '_')}_{image.recorded}.png"
                 if not path.exists():
-                    _write_image(image_at(bag, found.cameras[name].topic, image.recorded, reader), path)
+                    write_image(image_at(bag, found.cameras[name].topic, image.recorded, reader), path)
                 views[name] = replace(image.view, file=str(path))
             labelled.append(LabelledMoment(views))
         return labelled
@@ -237,9 +238,7 @@ def extracted_ranges(bag: Bag, found: Survey, moments: Sequence[BagMoment], fold
 def _range_view(bag: Bag, name: str, lidar: SensorTopic, recorded: int, folder: Path) -> RangeView:
     for message in bag.messages({lidar.topic}, recorded, recorded + 1):
         stem = folder / f"{name.replace('/', '_')}_{recorded}"
-        return RANGE_MODALITIES[lidar.modality.name].view(
-            bag.decode(message), _place_of_message(bag, message), lidar, stem
-        )
+        return RANGE_MODALITIES[lidar.modality.name].view(bag.decode(message), bag.place(message), lidar, stem)
     raise InputError(f"{bag.path}: {lidar.topic}: the message at {recorded / NS_PER_S:.3f} is gone")
 
 
@@ -252,15 +251,6 @@ def image_at(bag: Bag, topic: str, recorded: int, reader: ImageReader) -> Image:
     if images := [image for _, image in reader.images({topic}, recorded, recorded + 1)]:
         return images[0]()
     raise InputError(f"{bag.path}: {topic}: the image at {recorded / NS_PER_S:.3f} is gone")
-
-
-def _write_image(image: Image, path: Path) -> None:
-    write_atomically(thumbnail_of(path), encoded(thumbnail(image)))
-    _write_png(image, path)
-
-
-def _write_png(image: Image | DepthImage, path: Path) -> None:
-    write_atomically(path, encoded(image))
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,9 +300,10 @@ def mounting(
     carrying = [bodies[parent][0] if (parent := each.parent_link) in bodies else parent for each in patterns.values()]
     ends = [*(sensor.parent_link for sensor in sensors.values()), *carrying]
     if stray := [frame for frame in ends if frame != world and frame not in known]:
+        fault = f"; the robot description cannot be read: {found.log.robot_fault}" if found.log.robot_fault else ""
         raise InputError(
             f"{where}: found no frame '{stray[0]}', expected one of those that were recorded: "
-            f"{', '.join(sorted(known)) or 'none'}{_fault_of_robot(found.log)}"
+            f"{', '.join(sorted(known)) or 'none'}{fault}"
         )
     ends += [sensor.link for sensor in sensors.values() if sensor.link in known]
     used = dict.fromkeys((step.parent, step.child) for end in ends if end != world for step in tree.path(world, end))
@@ -329,10 +320,6 @@ def mounting(
     anchored = described.anchored or (None if mounted else next(iter(sensors)))
     moving = moving_bodies(described)
     return Mounting(Configuration(world, sensors, patterns, anchored, bodies, moving), tuple(used))
-
-
-def _fault_of_robot(log: MotionLog) -> str:
-    return f"; the robot description cannot be read: {log.robot_fault}" if log.robot_fault else ""
 
 
 def root_of(described: ImportDescription, found: Survey) -> str:

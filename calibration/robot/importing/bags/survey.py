@@ -76,14 +76,14 @@ class RecordedLens:
         content = bag.without_stamp(message)
         if content == self._content:
             return
-        found = camera_of(bag.decode(message), where := f"{bag.path}: {self.topic}")
+        found = camera_of(bag.decode(message), f"{bag.path}: {self.topic}")
         if found is None:
             return
         if self._found is None:
             self._found, self._content = found, content
         elif found != self._found:
             raise InputError(
-                f"{where} at {bag.stamp(message) / NS_PER_S:.3f}: found {_in_words(found.raw)}, before it "
+                f"{bag.place(message)}: found {_in_words(found.raw)}, before it "
                 f"{_in_words(self._found.raw)}; expected intrinsics that do not change: cut the bag there, or give "
                 "'intrinsics'"
             )

@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.base import InputError
 from calibration.base.optional import optional
-from calibration.robot.importing.bags.bag import NS_PER_S, VIDEO_TYPES, Bag, RawMessage
+from calibration.robot.importing.bags.bag import VIDEO_TYPES, Bag, RawMessage
 from calibration.robot.importing.bags.messages import NO_VIDEO, image_of
 from calibration.robot.labelling.detection import Image
 
@@ -110,7 +110,7 @@ class ImageReader:
             if message.recorded < begins[message.topic]:
                 continue
             content = self._bag.decode(message)
-            where = f"{self._bag.path}: {message.topic} at {self._bag.stamp(message) / NS_PER_S:.3f}"
+            where = self._bag.place(message)
             image: Callable[[], Image] | None = partial(image_of, content, where)
             if message.topic in decoders:
                 image = decoders[message.topic].decode(content, where)
