@@ -32,12 +32,12 @@ from calibration.robot.importing.image_views import View
 from calibration.robot.importing.importing import (
     check_printed_patterns,
     described_lenses,
-    pattern_configurations,
     read_description,
     recorded_views,
     write_dataset,
 )
 from calibration.robot.importing.look.judging import ImageJudge, JudgedImage
+from calibration.robot.importing.mounting import pattern_configurations
 from calibration.robot.importing.recorded import LEAST_VIEWS, imported_moments
 from calibration.robot.next_pose.candidates import candidates_of
 from calibration.robot.simulation.dataset_folder import refuse_existing

@@ -25,7 +25,6 @@ from calibration.robot.importing.files.pictures import IMAGE_ENDINGS, order_by_n
 from calibration.robot.importing.image_views import View, encoded
 from calibration.robot.importing.importing import SurveyedBag, surveyed_bag
 from calibration.robot.importing.recorded import Recorded
-from calibration.robot.labelling.corner_detector import corner_detector
 
 FileState = tuple[int, int]
 """Size in bytes and time of the last change in ns."""
@@ -252,7 +251,7 @@ class FollowedBag:
                 f"{bag.path}: found no camera among the sensors, expected one that sees where the pattern is"
             )
         described = replace(self._described, sensors=cameras)
-        self._surveyed = surveyed = surveyed_bag(bag, described, self._lenses, str(self._files[0]))
+        self._surveyed = surveyed = surveyed_bag(bag, described, self._lenses)
         self._search(bag, surveyed)
         reader = ImageReader(bag, surveyed.found.key_frames)
         start = min(own[0].stamp for own in self._images.values() if own)
@@ -285,8 +284,7 @@ class FollowedBag:
         some = Survey({name: each for name, each in thinned.items() if each.stamps}, found.log, found.key_frames)
         if not some.cameras:
             return
-        detectors = {name: corner_detector(pattern) for name, pattern in surveyed.patterns.items()}
-        seen = list(run_tasks(detection_tasks(bag, some, detectors), workers=1).values())
+        seen = list(run_tasks(detection_tasks(bag, some, surveyed.mounted.detectors), workers=1).values())
         for name, own in images_by_camera({name: each.stamps for name, each in some.cameras.items()}, seen).items():
             self._images.setdefault(name, []).extend(own)
             self._searched[name] = max(some.cameras[name].stamps)

@@ -16,47 +16,42 @@ from calibration.base import InputError, link_or_copy, read_yaml, write_atomical
 from calibration.base.arrays import Array
 from calibration.base.records import read, text_of
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
-from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
-from calibration.engine.dataset.modalities import LIDAR3D, POSE, RGB, Modality
+from calibration.engine.dataset.configuration import PatternConfiguration
+from calibration.engine.dataset.modalities import POSE
 from calibration.engine.dataset.model import Edge
 from calibration.engine.dataset.reading import FILE_NAME, read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.geometry.cameras import Camera
-from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags import recordings
 from calibration.robot.importing.bags.bag import Bag, open_bag
 from calibration.robot.importing.bags.motion import MotionLog, MovingBoards
 from calibration.robot.importing.bags.range_views import LabelledRange, RangeView
-from calibration.robot.importing.bags.stillness import BagMoment
+from calibration.robot.importing.bags.stillness import BagImage, BagMoment
 from calibration.robot.importing.bags.survey import Survey, survey
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.cloud_files import CLOUD_ENDINGS, cloud_view
 from calibration.robot.importing.description import (
     Bags,
     ImportDescription,
-    SensorDescription,
+    MomentChoice,
     Videos,
-    body_edges,
-    carriers,
-    moving_bodies,
     with_sides,
 )
 from calibration.robot.importing.document import Imported, data_file, dataset_document
-from calibration.robot.importing.files.camera_files import KnownLens, known_model, read_lens, with_baselines
+from calibration.robot.importing.files.camera_files import KnownLens, known_model, read_lens
 from calibration.robot.importing.files.pictures import Moment, Pictures, find_pictures, moments_of
 from calibration.robot.importing.files.samples import Sample, read_samples, same_numbers
-from calibration.robot.importing.files.target_files import pattern_configuration
 from calibration.robot.importing.image_views import LabelledMoment, View, check_copies, contact_sheet, view_of_file
-from calibration.robot.importing.near_miss import check_told_apart
+from calibration.robot.importing.mounting import Mounting, described_mounting, recorded_mounting
 from calibration.robot.importing.recorded import Recorded, best_moments, check_seen, check_views, imported_moments
 from calibration.robot.importing.results import ImportResults, LeftOut, RejectedView, SensorResult
 from calibration.robot.importing.videos import extracted_frames, frame_tasks, survey_videos
-from calibration.robot.labelling.corner_detector import corner_detector
-from calibration.robot.labelling.detection import NotDetected
+from calibration.robot.labelling.detection import Image, NotDetected
 from calibration.robot.labelling.points import PatternPoints
 from calibration.robot.simulation.dataset_folder import refuse_existing, replacing_dataset
 from calibration.robot.simulation.record import CONTACT_SHEET_FILE as SHEET
 
+BagImages = Mapping[str, Sequence[BagImage]]
 Done = Callable[[int, int, LabelledMoment | recordings.SeenImages], None]
 """Callback after each part: number of finished parts, number of all parts, and the result."""
 
@@ -166,25 +161,24 @@ def _import_poses(
     overwrite: bool,
 ) -> ImportResults:
     """Import pairs of poses, of an arm and of the pattern measured by a camera."""
-    patterns = pattern_configurations(described)
-    (sensor, *other), (pattern, *more) = described.sensors, patterns
+    mounted = described_mounting(described, {}, POSE)
+    (sensor, *other), (pattern, *more) = described.sensors, mounted.configuration.patterns
     if other or more or described.samples is None:
         raise InputError(
             f"{samples[0].where}: has poses of one pattern before one sensor, found {len(described.sensors)} sensors "
-            f"and {len(patterns)} patterns in the description"
+            f"and {len(described.patterns)} patterns in the description"
         )
     if sensor.intrinsics is not None:
         raise InputError(f"{samples[0].where}: found poses, no images: leave out 'intrinsics' of '{sensor.name}'")
-    configuration = _calibration_configuration(described, patterns, POSE)
     arm = {(described.samples.base, described.samples.tool): np.stack([each.T_base_tool for each in samples])}
     imported = Imported(
         robot=robot,
-        configuration=configuration,
+        configuration=mounted.configuration,
         cameras={},
         estimated={},
         moments=[LabelledMoment({}) for _ in samples],
         ranges=[{} for _ in samples],
-        transforms=_with_known_patterns(_tree_of_frames(configuration, arm, len(samples)), described, configuration),
+        transforms=mounted.placed(arm, len(samples)),
         rough=True,
         poses={(sensor.name, pattern): np.stack([T for s in samples if (T := s.T_camera_pattern) is not None])},
     )
@@ -220,49 +214,32 @@ def _opened_source(described: ImportDescription, lenses: Mapping[str, KnownLens]
         yield (_from_videos if described.has_videos else _from_images)(described, lenses)
 
 
-def pattern_configurations(described: ImportDescription, root: str | None = None) -> dict[str, PatternConfiguration]:
-    """Return the patterns by name.
-
-    Raises:
-        InputError: a description is wrong, or two cannot be told apart.
-    """
-    bodies = [each.name for each in described.bodies]
-    patterns = {
-        each.name: replace(
-            pattern_configuration(each, described.root, root),
-            known_pose=each.pose is not None and each.parent in bodies,
-        )
-        for each in described.patterns
-    }
-    check_told_apart(patterns)
-    return patterns
-
-
 def _from_images(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    patterns = pattern_configurations(described)
-    configuration = _calibration_configuration(described, patterns)
-    pictures = _pictures_of(described)
-    moments, transforms, left_out = _moments_and_transforms(described, configuration, pictures)
-    detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
+    mounted = described_mounting(described, lenses)
+    sensors = mounted.configuration.sensors
+    moments, transforms, left_out = _moments_and_transforms(described, mounted, _pictures_of(described))
+    detectors = mounted.detectors
 
     def label(moment: Moment) -> LabelledMoment:
-        images = {name: file for name, file in moment.files.items() if configuration.sensors[name].has_corners}
+        images = {name: file for name, file in moment.files.items() if sensors[name].has_corners}
         return LabelledMoment({name: view_of_file(file, detectors) for name, file in images.items()})
 
     def finish(seen: Sequence[LabelledMoment], folder: Path, _: int | None) -> Recorded:
-        for name in configuration.sensors:
+        for name in sensors:
             check_copies(name, [moment.views[name] for moment in seen if name in moment.views])
-        ranges = [
-            _clouds_of_moment(moment, i, folder, configuration)
-            if any(view.labelled for view in labelled.views.values())
-            else {}
-            for i, (moment, labelled) in enumerate(zip(moments, seen, strict=True))
-        ]
-        recorded = _recorded_images(described, configuration, lenses, moments, seen, transforms)
+        ranges: list[dict[str, RangeView]] = []
+        for i, (moment, labelled) in enumerate(zip(moments, seen, strict=True)):
+            is_seen = any(view.labelled for view in labelled.views.values())
+            clouds = {name: file for name, file in moment.files.items() if is_seen and not sensors[name].has_corners}
+            stems = {name: folder / f"{name.replace('/', '_')}_{i}" for name in clouds}
+            ranges.append({name: cloud_view(file, stems[name]) for name, file in clouds.items()})
+        recorded = _recorded_images(mounted, moments, seen, transforms)
         return replace(recorded, ranges=ranges, left_out=tuple(left_out))
 
     return _Source(
-        _hash_of_label_inputs(patterns, [path for moment in moments for path in moment.files.values()]),
+        _hash_of_label_inputs(
+            mounted.configuration.patterns, [path for moment in moments for path in moment.files.values()]
+        ),
         [Task.call(f"{i}", partial(label, each)) for i, each in enumerate(moments)],
         lambda text: read(LabelledMoment, json.loads(text), "a finished moment"),
         finish,
@@ -286,182 +263,118 @@ def recorded_views(
     Raises:
         InputError: images of the cameras do not belong together, or not to the samples.
     """
-    configuration = _calibration_configuration(described, pattern_configurations(described))
-    moments, transforms, _ = _moments_and_transforms(described, configuration, pictures)
+    mounted = described_mounting(described, lenses)
+    moments, transforms, _ = _moments_and_transforms(described, mounted, pictures)
     seen = [LabelledMoment({name: views[file] for name, file in moment.files.items()}) for moment in moments]
-    return _recorded_images(described, configuration, lenses, moments, seen, transforms)
+    return _recorded_images(mounted, moments, seen, transforms)
 
 
 def _recorded_images(
-    described: ImportDescription,
-    configuration: Configuration,
-    lenses: Mapping[str, KnownLens],
-    moments: Sequence[Moment],
-    seen: Sequence[LabelledMoment],
-    transforms: Mapping[Edge, Array],
+    mounted: Mounting, moments: Sequence[Moment], seen: Sequence[LabelledMoment], transforms: Mapping[Edge, Array]
 ) -> Recorded:
-    known = _given_poses(described, configuration, 1)
-    placed = with_baselines(_with_known_patterns(transforms, described, configuration), configuration, lenses, known)
     lag = max(moment.lag for moment in moments)
-    return Recorded(configuration, lenses, seen, placed, rough=True, searched=len(seen), lag=lag)
+    return Recorded(mounted.configuration, mounted.lenses, seen, transforms, rough=True, searched=len(seen), lag=lag)
+
+
+def _chosen_moments(
+    choice: MomentChoice, images: BagImages, mounted: Mounting, log: MotionLog, where: str
+) -> tuple[list[BagMoment], Recorded]:
+    """Return the best moments, and the cameras' data of them, without image files."""
+    every = recordings.chosen_moments(choice, images, log, mounted.edges, where)
+    moments, evenly = best_moments(every, choice.most, partial(mounted.recorded, log=log))
+    log.left_out.add(f"more than {choice.most} moments ('most')", "moments", count=len(every) - len(moments))
+    return moments, replace(mounted.recorded(moments, log), searched=len(every), evenly=evenly)
+
+
+def _check_patterns_seen(mounted: Mounting, images: BagImages, read: Callable[[str, int], Image]) -> None:
+    """Refuse a camera that sees no pattern; ``read`` returns an image by what locates it."""
+    for name, own in images.items():
+        recorded = [image.recorded for image in own]
+        image_of = partial(_image_of, read, name, recorded)
+        check_seen(name, mounted.configuration.patterns, [image.view for image in own], image_of)
+
+
+def _image_of(read: Callable[[str, int], Image], name: str, recorded: Sequence[int], position: int) -> Image:
+    return read(name, recorded[position])
 
 
 def _from_videos(described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    patterns = pattern_configurations(described)
-    configuration, sampled = _calibration_configuration(described, patterns), described.videos or Videos()
-    chosen = sampled.moments
+    mounted, sampled = described_mounting(described, lenses), described.videos or Videos()
     videos = survey_videos(described.sensors)
-    detectors = {name: corner_detector(pattern) for name, pattern in patterns.items()}
 
     def finish(seen: Sequence[recordings.SeenImages], folder: Path, jobs: int | None) -> Recorded:
         images = recordings.images_by_camera({name: video.stamps for name, video in videos.items()}, seen)
-        for name, own in images.items():
-            video, frames = videos[name], [image.recorded for image in own]
-            check_seen(
-                name,
-                patterns,
-                [image.view for image in own],
-                lambda i, video=video, frames=frames: video.frame(frames[i]),  # type: ignore[misc]
-            )
-
-        def of_cameras(some: Sequence[BagMoment]) -> Recorded:
-            """Return the cameras' data of some moments, without image files."""
-            views = [LabelledMoment({name: image.view for name, image in each.images.items()}) for each in some]
-            given = _given_poses(described, configuration, len(some))
-            transforms = _tree_of_frames(configuration, given, len(some))
-            placed = with_baselines(
-                _with_known_patterns(transforms, described, configuration), configuration, lenses, given
-            )
-            return Recorded(configuration, lenses, views, placed, rough=True, lag=max(each.lag for each in some))
-
-        log = MotionLog()
-        every = recordings.chosen_moments(
-            chosen, images, log, (), ", ".join(str(each.path) for each in videos.values())
-        )
-        moments, evenly = best_moments(every, chosen.most, of_cameras)
-        log.left_out.add(f"more than {chosen.most} moments ('most')", "moments", count=len(every) - len(moments))
+        _check_patterns_seen(mounted, images, lambda name, number: videos[name].frame(number))
+        log, where = MotionLog(), ", ".join(str(each.path) for each in videos.values())
+        moments, recorded = _chosen_moments(sampled.moments, images, mounted, log, where)
         return replace(
-            of_cameras(moments),
+            recorded,
             moments=extracted_frames(videos, moments, folder, jobs),
-            searched=len(every),
-            evenly=evenly,
             left_out=log.left_out.results(),
-            boards=None if chosen.only_standstill else MovingBoards(images, moments),
+            boards=None if sampled.moments.only_standstill else MovingBoards(images, moments),
         )
 
-    return _Source(
-        _hash_of_label_inputs(patterns, [path for video in videos.values() for path in video.files], str(sampled.step)),
-        frame_tasks(videos, sampled.step, detectors),
-        recordings.decoded_images,
-        finish,
-    )
-
-
-def _clouds_of_moment(moment: Moment, number: int, folder: Path, configuration: Configuration) -> dict[str, RangeView]:
-    """Return the point clouds of a moment, each as a file in a folder."""
-    lidars = {name: file for name, file in moment.files.items() if not configuration.sensors[name].has_corners}
-    return {name: cloud_view(file, folder / f"{name.replace('/', '_')}_{number}") for name, file in lidars.items()}
+    files = [path for video in videos.values() for path in video.files]
+    identity_of = _hash_of_label_inputs(mounted.configuration.patterns, files, str(sampled.step))
+    tasks = frame_tasks(videos, sampled.step, mounted.detectors)
+    return _Source(identity_of, tasks, recordings.decoded_images, finish)
 
 
 @dataclass(frozen=True, eq=False)
 class SurveyedBag:
     """Bag after its first pass: sensors, frames, and what has moved."""
 
-    described: ImportDescription
-    """With the root of its frames."""
-    patterns: Mapping[str, PatternConfiguration]
     found: Survey
-    mounted: recordings.Mounting
-    lenses: Mapping[str, KnownLens]
-    """Those that are described."""
+    mounted: Mounting
 
     def recorded(self, moments: Sequence[BagMoment]) -> Recorded:
         """Return the cameras' data of some moments, without image files."""
-        count, times = len(moments), [moment.time for moment in moments]
-        configuration, edges = self.mounted.configuration, self.mounted.edges
-        of_bag = {
-            name: KnownLens(self._first_file, camera.camera, has_size=True)
-            for name, camera in self.found.sensors.items()
-            if camera.camera is not None
-        }
-        given = _given_poses(self.described, configuration, count)
-        given = {edge: T for edge, T in given.items() if edge not in edges}
-        placed = {**self.mounted.transforms(self.found.log, times), **given}
-        placed = _with_known_patterns(placed, self.described, configuration)
-        return Recorded(
-            configuration,
-            {**of_bag, **self.lenses},
-            [LabelledMoment({name: image.view for name, image in moment.images.items()}) for moment in moments],
-            with_baselines(placed, configuration, self.lenses, (*edges, *given)),
-            rough=not edges,
-            lag=max(moment.lag for moment in moments),
-        )
-
-    @property
-    def _first_file(self) -> Path:
-        if self.described.bags is None:
-            raise AssertionError("it is of a bag")
-        return self.described.bags.files[0]
+        return self.mounted.recorded(moments, self.found.log)
 
 
-def surveyed_bag(bag: Bag, described: ImportDescription, lenses: Mapping[str, KnownLens], where: str) -> SurveyedBag:
+def surveyed_bag(bag: Bag, described: ImportDescription, lenses: Mapping[str, KnownLens]) -> SurveyedBag:
     """Survey a bag, and place its sensors.
 
     Args:
         bag: the bag.
-        described: the import.
+        described: the import; it names the bag.
         lenses: known intrinsics.
-        where: the bag, for messages.
 
     Raises:
-        InputError: a topic or a frame is missing or wrong, see `survey` and `mounting`.
+        InputError: a topic or a frame is missing or wrong, see `survey` and `recorded_mounting`.
     """
     found = survey(bag, described)
-    root = recordings.root_of(described, found)
-    patterns = pattern_configurations(described, root)
-    described = replace(described, world=root)
-    return SurveyedBag(described, patterns, found, recordings.mounting(described, patterns, found, where), lenses)
+    return SurveyedBag(found, recorded_mounting(described, lenses, found))
 
 
 def _from_bags(bag: Bag, bags: Bags, described: ImportDescription, lenses: Mapping[str, KnownLens]) -> _Source:
-    where = str(bags.files[0])
-    surveyed = surveyed_bag(bag, described, lenses, where)
-    patterns, found, mounted = surveyed.patterns, surveyed.found, surveyed.mounted
+    surveyed = surveyed_bag(bag, described, lenses)
+    found, mounted, reader = surveyed.found, surveyed.mounted, ImageReader(bag, surveyed.found.key_frames)
 
     def finish(seen: Sequence[recordings.SeenImages], folder: Path, jobs: int | None) -> Recorded:
         images = recordings.images_by_camera({name: camera.stamps for name, camera in found.cameras.items()}, seen)
-        for name, own in images.items():
-            at = partial(recordings.image_at, bag, found.cameras[name].topic, reader=ImageReader(bag, found.key_frames))
-            views, recorded = [image.view for image in own], [image.recorded for image in own]
-            check_seen(name, patterns, views, lambda i, at=at, recorded=recorded: at(recorded[i]))  # type: ignore[misc]
-        rejected = recordings.images_without_pattern(found, images, found.log)
-        every = recordings.chosen_moments(bags.moments, images, found.log, mounted.edges, where)
-        moments, evenly = best_moments(every, bags.moments.most, surveyed.recorded)
-        found.log.left_out.add(
-            f"more than {bags.moments.most} moments ('most')", "moments", count=len(every) - len(moments)
+        _check_patterns_seen(
+            mounted, images, lambda name, at: recordings.image_at(bag, found.cameras[name].topic, at, reader)
         )
+        rejected = recordings.images_without_pattern(found, images, found.log)
+        moments, recorded = _chosen_moments(bags.moments, images, mounted, found.log, str(bags.files[0]))
         motions = mounted.motions(found.log, [moment.time for moment in moments])
         boards = MovingBoards(images, moments, mounted.edges, motions)
         return replace(
-            surveyed.recorded(moments),
+            recorded,
             motions=motions,
             moments=recordings.extracted_images(bag, found, moments, folder, jobs),
             boards=None if bags.moments.only_standstill else boards,
             ranges=recordings.extracted_ranges(bag, found, moments, folder),
-            searched=len(every),
-            evenly=evenly,
             rejected=rejected,
             left_out=found.log.left_out.results(),
             notes=(f"the robot description is left out: {fault}",) if (fault := found.log.robot_fault) else (),
         )
 
+    files = [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]
+    identity_of = _hash_of_label_inputs(mounted.configuration.patterns, files)
     return _Source(
-        _hash_of_label_inputs(
-            patterns, [path for each in bags.files for path in ([each] if each.is_file() else each.iterdir())]
-        ),
-        recordings.detection_tasks(bag, found, {name: corner_detector(pattern) for name, pattern in patterns.items()}),
-        recordings.decoded_images,
-        finish,
+        identity_of, recordings.detection_tasks(bag, found, mounted.detectors), recordings.decoded_images, finish
     )
 
 
@@ -480,39 +393,6 @@ def _hash_of_label_inputs(patterns: Mapping[str, PatternConfiguration], files: S
     return identity(f"{__version__} {np.__version__} {cv2.__version__} {patterns} {stats} {choice}".encode())
 
 
-def _calibration_configuration(
-    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], modality: Modality = RGB
-) -> Configuration:
-    """Return the calibration configuration: the pose of each sensor on its parent."""
-    sensors = {
-        each.name: _sensor_configuration(each, described.root, LIDAR3D if each.clouds else modality)
-        for each in described.sensors
-    }
-    mounted = carriers(described, [pattern.parent_link for pattern in patterns.values() if pattern.fixed])
-    if described.samples is not None:
-        tool = described.samples.tool
-        if tool not in mounted and all(sensor.parent_link != tool for sensor in sensors.values()):
-            raise InputError(
-                f"samples: neither a sensor nor a pattern is mounted on the tool, '{tool}': give one of them "
-                f"'parent: {tool}'"
-            )
-    moves = described.samples is None and not mounted
-    anchored = described.anchored or (next(iter(sensors)) if moves else None)
-    return Configuration(
-        world_link=described.root,
-        sensors=sensors,
-        patterns=patterns,
-        anchored_sensor=anchored,
-        additional_tfs=body_edges(described),
-        moving_tfs=moving_bodies(described),
-    )
-
-
-def _sensor_configuration(described: SensorDescription, world: str, modality: Modality) -> SensorConfiguration:
-    parent = described.parent or world
-    return SensorConfiguration(described.name, modality.name, described.link, parent, described.link)
-
-
 def _pictures_of(described: ImportDescription) -> list[Pictures]:
     """Return the images of the cameras and the clouds of the LiDARs."""
     pictures = [find_pictures(each.name, each.images) for each in described.sensors if each.images]
@@ -522,7 +402,7 @@ def _pictures_of(described: ImportDescription) -> list[Pictures]:
 
 
 def _moments_and_transforms(
-    described: ImportDescription, configuration: Configuration, pictures: Sequence[Pictures]
+    described: ImportDescription, mounted: Mounting, pictures: Sequence[Pictures]
 ) -> tuple[Sequence[Moment], Mapping[Edge, Array], Sequence[LeftOut]]:
     """Return the images of each moment, the transforms (N, 4, 4) at that time, and what is left out."""
     arm: dict[Edge, Array] = {}
@@ -533,17 +413,7 @@ def _moments_and_transforms(
         samples = read_samples(described.samples, described.in_hand)
         moments, samples, left_out = _at_samples(described, pictures, samples)
         arm[described.samples.base, described.samples.tool] = np.stack([each.T_base_tool for each in samples])
-    given = _given_poses(described, configuration, len(moments))
-    return moments, _tree_of_frames(configuration, {**arm, **given}, len(moments)), left_out
-
-
-def _given_poses(described: ImportDescription, configuration: Configuration, count: int) -> dict[Edge, Array]:
-    """Return ``T_parent_sensor`` (N, 4, 4) of the sensors that have one in the description."""
-    return {
-        (sensor.parent_link, sensor.child_link): np.broadcast_to(each.pose.transform, (count, 4, 4))
-        for each in described.sensors
-        if each.pose is not None and (sensor := configuration.sensors[each.name])
-    }
+    return moments, mounted.placed(arm, len(moments)), left_out
 
 
 def _at_samples(
@@ -578,40 +448,6 @@ def _at_samples(
 def _image_of_sample(named: Path, in_folder: Mapping[str, Path]) -> Path:
     """Return the image that a table of poses names: beside it, or in the folder of the sensor's images."""
     return in_folder.get(named.name, named) if not named.is_file() else named
-
-
-def _tree_of_frames(configuration: Configuration, arm: Mapping[Edge, Array], count: int) -> dict[Edge, Array]:
-    """Return the tree of frames: the arm's known transforms, and the identity for calibrated and auxiliary ones."""
-    world = configuration.world_link
-    unknown = np.broadcast_to(np.eye(4), (count, 4, 4))
-    transforms = dict(arm)
-    for sensor in configuration.sensors.values():
-        transforms.setdefault((sensor.parent_link, sensor.child_link), unknown)
-    for edge in configuration.additional_tfs.values():
-        transforms.setdefault(edge, unknown)
-    children = {child for _, child in transforms}
-    parents = dict.fromkeys(
-        [*(parent for parent, _ in transforms), *(pattern.parent_link for pattern in configuration.patterns.values())]
-    )
-    for frame in parents:
-        if frame != world and frame not in children:
-            transforms[world, frame] = unknown
-    FrameTree(transforms)
-    return transforms
-
-
-def _with_known_patterns(
-    transforms: Mapping[Edge, Array], described: ImportDescription, configuration: Configuration
-) -> dict[Edge, Array]:
-    """Return the transforms (N, 4, 4) with the poses of the patterns that the description states."""
-    count = len(next(iter(transforms.values())))
-    stated = {each.name: each.pose.transform for each in described.patterns if each.pose is not None}
-    known = {
-        (pattern.parent_link, pattern.link): np.broadcast_to(stated[name], (count, 4, 4))
-        for name, pattern in configuration.patterns.items()
-        if name in stated
-    }
-    return {**transforms, **known}
 
 
 def _import_results(imported: Imported, recorded: Recorded) -> ImportResults:

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -11,12 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from calibration.base import InputError, read_bytes
-from calibration.base.arrays import Array
 from calibration.base.records import field, read, result
 from calibration.ci.execution.tasks import Task, run_tasks
-from calibration.engine.dataset.configuration import Configuration, PatternConfiguration, SensorConfiguration
 from calibration.engine.dataset.model import Edge
-from calibration.engine.geometry.frames import FrameTree
 from calibration.robot.importing.bags.bag import NS_PER_S, Bag
 from calibration.robot.importing.bags.motion import MotionLog
 from calibration.robot.importing.bags.range_views import RANGE_MODALITIES, RangeView
@@ -24,12 +21,7 @@ from calibration.robot.importing.bags.stillness import BagImage, BagMoment, even
 from calibration.robot.importing.bags.survey import SensorTopic, Survey
 from calibration.robot.importing.bags.video_packets import ImageReader
 from calibration.robot.importing.description import (
-    ImportDescription,
     MomentChoice,
-    SensorDescription,
-    body_edges,
-    carriers,
-    moving_bodies,
 )
 from calibration.robot.importing.image_views import (
     LabelledMoment,
@@ -251,115 +243,3 @@ def image_at(bag: Bag, topic: str, recorded: int, reader: ImageReader) -> Image:
     if images := [image for _, image in reader.images({topic}, recorded, recorded + 1)]:
         return images[0]()
     raise InputError(f"{bag.path}: {topic}: the image at {recorded / NS_PER_S:.3f} is gone")
-
-
-@dataclass(frozen=True, eq=False)
-class Mounting:
-    """Sensors of a bag in its tree of frames."""
-
-    configuration: Configuration
-    edges: tuple[Edge, ...]
-    """Known edges from the world to the sensors and to the patterns' parents."""
-
-    def transforms(self, log: MotionLog, times: Sequence[float]) -> dict[Edge, Array]:
-        """Return (N, 4, 4) at each of the times, ns; the identity for unknown transforms.
-
-        Raises:
-            InputError: there is no record of one near a time.
-        """
-        found = {edge: np.stack([log.transform(edge, time) for time in times]) for edge in self.edges}
-        sensors = self.configuration.sensors.values()
-        calibrated = [(each.parent_link, each.child_link) for each in sensors]
-        for edge in (*calibrated, *self.configuration.additional_tfs.values()):
-            if edge not in found:
-                found[edge] = np.broadcast_to(np.eye(4), (len(times), 4, 4))
-        return found
-
-    def motions(self, log: MotionLog, times: Sequence[float]) -> dict[Edge, Array]:
-        """Return velocity, acceleration and jerk (N, 3, 6) of the edges that move at any of the times, ns."""
-        found = {edge: np.stack([log.motion(edge, time) for time in times]) for edge in self.edges if log.moves(edge)}
-        return {edge: motion for edge, motion in found.items() if motion.any()}
-
-
-def mounting(
-    described: ImportDescription, patterns: Mapping[str, PatternConfiguration], found: Survey, where: str
-) -> Mounting:
-    """Return the calibrated transforms: of each sensor the one below its parent.
-
-    Raises:
-        InputError: a named frame is not in the recording, or is not above the sensor's.
-    """
-    chosen, several = found.log.tree_edges(described.parents)
-    edges = [edge for edge in chosen if edge[1] not in {pattern.link for pattern in patterns.values()}]
-    tree, parent_of = FrameTree(edges), {child: parent for parent, child in edges}
-    known, world = set(tree.frames), described.root
-    sensors = {
-        name: _sensor_configuration(each, world, parent_of, found.log, where) for name, each in found.sensors.items()
-    }
-    bodies = body_edges(described)
-    carrying = [bodies[parent][0] if (parent := each.parent_link) in bodies else parent for each in patterns.values()]
-    ends = [*(sensor.parent_link for sensor in sensors.values()), *carrying]
-    if stray := [frame for frame in ends if frame != world and frame not in known]:
-        fault = f"; the robot description cannot be read: {found.log.robot_fault}" if found.log.robot_fault else ""
-        raise InputError(
-            f"{where}: found no frame '{stray[0]}', expected one of those that were recorded: "
-            f"{', '.join(sorted(known)) or 'none'}{fault}"
-        )
-    ends += [sensor.link for sensor in sensors.values() if sensor.link in known]
-    used = dict.fromkeys((step.parent, step.child) for end in ends if end != world for step in tree.path(world, end))
-    for _, child in used:
-        if child in several:
-            parents = " and ".join(f"'{parent}'" for parent in several[child])
-            raise InputError(
-                f"{where}: found '{child}' below {parents}, expected one parent on the way to a sensor or a pattern: "
-                f"choose it, parents: {{{child}: {several[child][0]}}}"
-            )
-    for child in several:
-        found.log.left_out.add("a second parent", child)
-    mounted = carriers(described, [each.parent_link for each in patterns.values() if each.fixed])
-    anchored = described.anchored or (None if mounted else next(iter(sensors)))
-    moving = moving_bodies(described)
-    return Mounting(Configuration(world, sensors, patterns, anchored, bodies, moving), tuple(used))
-
-
-def root_of(described: ImportDescription, found: Survey) -> str:
-    """Return the root frame: the named one, if it was recorded; else the root above the first sensor.
-
-    Raises:
-        InputError: a chosen parent was not recorded, or the frames form a loop.
-    """
-    parent_of = {child: parent for parent, child in found.log.tree_edges(described.parents)[0]}
-    frames = {*parent_of, *parent_of.values()}
-    if described.root in frames or not frames:
-        return described.root
-    frame = next((each.frame for each in found.sensors.values() if each.frame in frames), next(iter(frames)))
-    while frame in parent_of:
-        frame = parent_of[frame]
-    return frame
-
-
-def _sensor_configuration(
-    camera: SensorTopic, world: str, parent_of: Mapping[str, str], log: MotionLog, where: str
-) -> SensorConfiguration:
-    described: SensorDescription = camera.described
-    name, frame = described.name, camera.frame
-    if frame not in parent_of:
-        parent, child = described.parent or world, frame
-    elif described.parent is None:
-        parent, child = _above_optical(frame, parent_of, log)
-    else:
-        child = frame
-        while parent_of.get(child) not in (described.parent, None):
-            child = parent_of[child]
-        if child not in parent_of:
-            raise InputError(f"{where}: '{described.parent}' is not above '{frame}', the frame of '{name}'")
-        parent = described.parent
-    return SensorConfiguration(name, camera.modality.name, frame, parent, child, camera.topic)
-
-
-def _above_optical(frame: str, parent_of: Mapping[str, str], log: MotionLog) -> Edge:
-    """Return the transform that mounts a camera: not the one that only rotates its axes to those of an image."""
-    edge = (parent_of[frame], frame)
-    if edge[0] in parent_of and not log.moves(edge) and not log.transform(edge, 0.0)[:3, 3].any():
-        return (parent_of[edge[0]], edge[0])
-    return edge
