@@ -19,9 +19,9 @@ from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.guesses import StartingNoise, guess_with_patterns, with_starting_noise
 from calibration.engine.evaluation.specification import Evaluation, parse_evaluation
 from calibration.engine.geometry.transforms import translation
+from calibration.pipeline.containers import Software
 from calibration.pipeline.matrix.cell_result import Cell, CellResult
 from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.matrix.software_cell import judged, software_result
 
 NOISE = StartingNoise(0.05, 0.05, 1)

@@ -31,8 +31,8 @@ from calibration.commands.parameters import (
     registry_password_option,
 )
 from calibration.commands.target import execution_target
+from calibration.pipeline.containers import Software, adjusted_software
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.matrix.software import Software, adjusted_software
 from calibration.pipeline.repetition.repetition import Repetitions
 from calibration.pipeline.repetition.running import repeat_stages
 from calibration.pipeline.running import PipelineRun

@@ -35,11 +35,11 @@ from calibration.pipeline.collection.request import (
     CollectionRequest,
     ScenarioRequest,
     Share,
-    checked_applications,
 )
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenario_report import scenario_line
 from calibration.pipeline.collection.scenarios import ScenarioFolder
+from calibration.pipeline.containers import checked_applications
 from calibration.pipeline.repetition.repetition import Repetition, Repetitions, repetition_of_collection
 from calibration.pipeline.repetition.running import repeated, run_of_repetition
 from calibration.pipeline.results import PAGE_FILE

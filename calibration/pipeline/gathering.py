@@ -15,8 +15,8 @@ from calibration.ci.report import RESULTS_FILE, Lines, Report, Table, Text, Verd
 from calibration.ci.report.blocks import BADGE_FILE as BADGE
 from calibration.ci.report.blocks import verdict_badge
 from calibration.ci.report.report import BRIEF_FILE, Brief, StageResult, read_brief
+from calibration.pipeline.containers import SOFTWARE_METHOD
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, nothing_yet
-from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.report import report
 from calibration.pipeline.results import (
     CELLS_FILE,

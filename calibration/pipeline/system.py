@@ -11,14 +11,13 @@ from calibration.engine.baseline.verdict import Accepted
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Options
 from calibration.engine.tasks.robot_task import RobotTask
-from calibration.pipeline.matrix.software import Software, checked_software
+from calibration.pipeline.containers import Software, Text, checked_software
 from calibration.robot.exports import FORMATS, URDF
 from calibration.robot.robot_description import XacroInputs
 
 FormatName = Annotated[str, records.matching("|".join((URDF, *FORMATS)), f"one of {', '.join((URDF, *FORMATS))}")]
 COLLECTED_PREFIX = "simulation:"
 """Prefix of a system's dataset that an entry of ``simulation`` collects."""
-Text = Annotated[str, records.length(1)]
 
 
 def _dataset_path(text: str, place: records.Place) -> Path:

@@ -14,8 +14,8 @@ from calibration.ci.execution.job import Container
 from calibration.ci.image.specification import ImageSpecification, parse_image_specification
 from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.configuration import PipelineConfiguration
+from calibration.pipeline.containers import Software
 from calibration.pipeline.gathering import Needs, parse_needs
-from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.system import NoiseGrid, System
 from calibration.pipeline.workflow_plan import (
     MAX_JOBS,

@@ -32,16 +32,10 @@ from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_document
 from calibration.engine.evaluation.truth import TRUTH_FILE
 from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import (
-    MOTION_PATH,
-    PLAYER_PATH,
-    REPORT_PATH,
-    CollectionRequest,
-    collection_job,
-    dataset_place,
-)
+from calibration.pipeline.collection.request import CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import Judged, Scenarios
+from calibration.pipeline.containers import MOTION_PATH, PLAYER_PATH, REPORT_PATH, collection_job, dataset_place
 from calibration.robot.simulation.dataset_folder import replacing_dataset, truth_document
 from calibration.robot.simulation.kinematics import play
 from calibration.robot.simulation.motion import GENERATED_PREFIX, PLAYER_FILE, Motion, check_motion, motion_document

@@ -20,7 +20,7 @@ from calibration.ci.execution.job import OUTPUT, Artifact, Container, Job, Mount
 from calibration.ci.execution.outcome import ARTIFACTS_FOLDER, LOGS_FOLDER, JobOutcome
 from calibration.ci.execution.tasks import Task, identity, run_tasks, workspace
 from calibration.pipeline.collection.report import report
-from calibration.pipeline.collection.request import INPUT_FOLDER, CollectionRequest, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import CollectionResults
 from calibration.pipeline.collection.scenarios import (
     SCENARIO_FILE,
@@ -30,6 +30,7 @@ from calibration.pipeline.collection.scenarios import (
     read_scenario,
     write_scenario,
 )
+from calibration.pipeline.containers import INPUT_FOLDER
 from calibration.robot.simulation.capture import Requirements
 from calibration.robot.simulation.dataset_folder import replacing_dataset, write_dataset
 from calibration.robot.simulation.kinematics import Play, play

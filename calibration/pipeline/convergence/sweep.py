@@ -23,9 +23,9 @@ from calibration.ci.execution.backends import ExecutionTarget
 from calibration.ci.execution.tasks import identity, run_tasks, workspace
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.options import Start
+from calibration.pipeline.containers import SOFTWARE_METHOD
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.matrix import Done, Matrix, judge_cells, matrix_tasks
-from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.system import System
 
 CELLS_FOLDER = "cells"

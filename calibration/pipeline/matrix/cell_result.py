@@ -18,8 +18,8 @@ from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.options import Loss, Start
 from calibration.engine.estimation.start.guesses import StartingNoise
 from calibration.engine.tasks.robot_task import TaskUnit
+from calibration.pipeline.containers import SOFTWARE_METHOD
 from calibration.pipeline.matrix.next_poses_result import NextPoses
-from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 
 TaskState = Literal["holds", "broken", "undecided"] | None
 """Whether the limit of a task holds."""

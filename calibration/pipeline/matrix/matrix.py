@@ -20,10 +20,10 @@ from calibration.engine.comparison import method_of
 from calibration.engine.dataset.model import Dataset
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.estimation.start.guesses import StartingNoise
+from calibration.pipeline.containers import Software
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, Cell, CellResult, Comparison, noise_folder
 from calibration.pipeline.matrix.loaded_system import LoadedSystem, load
 from calibration.pipeline.matrix.running_cell import run_cell, run_comparison
-from calibration.pipeline.matrix.software import Software
 from calibration.pipeline.results import PipelineResults, without_verdicts
 from calibration.pipeline.system import NoiseGrid, System
 

@@ -22,10 +22,7 @@ from calibration.engine.diagnosis.finding import Finding
 from calibration.engine.diagnosis.software_output import moved_frames, not_evaluated, same_labels, table_follows
 from calibration.engine.estimation.start.guesses import with_starting_noise
 from calibration.engine.evaluation.table import AVERAGES_ROW, RMS_PIX
-from calibration.pipeline.matrix.cell_result import Cell, CellResult, nothing_yet
-from calibration.pipeline.matrix.loaded_system import LoadedSystem
-from calibration.pipeline.matrix.running_cell import distance_from_truth
-from calibration.pipeline.matrix.software import (
+from calibration.pipeline.containers import (
     DATASET_FOLDER,
     NO_DATASET,
     SOFTWARE_METHOD,
@@ -33,6 +30,9 @@ from calibration.pipeline.matrix.software import (
     Software,
     job_of,
 )
+from calibration.pipeline.matrix.cell_result import Cell, CellResult, nothing_yet
+from calibration.pipeline.matrix.loaded_system import LoadedSystem
+from calibration.pipeline.matrix.running_cell import distance_from_truth
 
 NOT_VERIFIED = Finding(
     "not-verified",

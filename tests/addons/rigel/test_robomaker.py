@@ -13,8 +13,8 @@ from calibration.addons.rigel.robomaker import region_of
 from calibration.base import InputError
 from calibration.base.records import read
 from calibration.ci.execution.job_check import check_jobs
-from calibration.pipeline.collection.request import collection_job
 from calibration.pipeline.configuration import read_configuration
+from calibration.pipeline.containers import collection_job
 
 from .conftest import noted
 

@@ -3,7 +3,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.base.records import Place, read
-from calibration.pipeline.collection.request import Applications, checked_applications
+from calibration.pipeline.containers import Applications, checked_applications
 
 
 def applications_from(entry: Mapping[str, Any], folder: Path, where: str) -> Applications:

@@ -15,11 +15,7 @@ from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.commands.collect_data_sim import command
 from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
-from calibration.pipeline.collection.request import (
-    CollectionChecks,
-    CollectionRequest,
-    ScenarioRequest,
-)
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import replay, report
 from calibration.pipeline.collection.scenarios import ScenarioFolder

@@ -13,16 +13,9 @@ from calibration.base import ExitCode, InputError
 from calibration.ci.execution.job import OUTPUT, Artifact, Job
 from calibration.ci.execution.outcome import ContainerOutcome, End, JobOutcome
 from calibration.pipeline.collection.collecting import collect_dataset
-from calibration.pipeline.collection.request import (
-    INPUT_FOLDER,
-    MOTION_PATH,
-    PLAYER_PATH,
-    REPORT_PATH,
-    CollectionChecks,
-    CollectionRequest,
-    collection_job,
-)
+from calibration.pipeline.collection.request import CollectionChecks, CollectionRequest
 from calibration.pipeline.collection.results import CollectionResults
+from calibration.pipeline.containers import INPUT_FOLDER, MOTION_PATH, PLAYER_PATH, REPORT_PATH, collection_job
 from tests.pipeline.collection.applications import applications_from
 from tests.pipeline.targets import at
 

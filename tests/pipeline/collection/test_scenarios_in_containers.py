@@ -19,10 +19,11 @@ from calibration.ci.execution.job import OUTPUT, Job
 from calibration.ci.execution.job_check import check_jobs
 from calibration.ci.execution.outcome import JobOutcome
 from calibration.pipeline.collection.collecting import collect_dataset, collect_scenarios
-from calibration.pipeline.collection.request import INPUT_FOLDER, Applications, CollectionRequest, ScenarioRequest
+from calibration.pipeline.collection.request import CollectionRequest, ScenarioRequest
 from calibration.pipeline.collection.results import ScenarioResults
 from calibration.pipeline.collection.scenario_report import report
 from calibration.pipeline.collection.scenarios import SCENARIO_FILE, ScenarioDone, ScenarioFile, ScenarioFolder
+from calibration.pipeline.containers import INPUT_FOLDER, Applications
 from tests.pipeline.targets import at
 from tests.small import first_poses
 

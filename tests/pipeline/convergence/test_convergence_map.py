@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calibration.base import ExitCode
+from calibration.pipeline.containers import SOFTWARE_METHOD
 from calibration.pipeline.convergence.convergence_map import ConvergenceMap, maps_of
-from calibration.pipeline.matrix.software import SOFTWARE_METHOD
 from calibration.pipeline.system import NoiseGrid
 
 from .cells import cell, one_map

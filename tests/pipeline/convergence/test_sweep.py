@@ -8,11 +8,11 @@ import pytest
 from calibration.base import InfrastructureError, InputError
 from calibration.base.tables.rules import parse_rules
 from calibration.engine.diagnosis.limits import Limits
+from calibration.pipeline.containers import SOFTWARE_METHOD, Software, software_from
 from calibration.pipeline.convergence import sweep
 from calibration.pipeline.convergence.sweep import run_sweep, sweep_matrices
 from calibration.pipeline.matrix.cell_result import OUR_METHOD, CellResult
 from calibration.pipeline.matrix.matrix import Matrix
-from calibration.pipeline.matrix.software import SOFTWARE_METHOD, Software, software_from
 from calibration.pipeline.system import NoiseGrid, System
 from tests.pipeline.conftest import T2RGB
 

@@ -23,15 +23,15 @@ from calibration.engine.estimation.start.build import build
 from calibration.engine.estimation.start.guesses import StartingNoise, guess_with_patterns, with_starting_noise
 from calibration.engine.evaluation.specification import parse_evaluation
 from calibration.engine.geometry.transforms import translation
-from calibration.pipeline.matrix.cell_result import Cell, CellResult
-from calibration.pipeline.matrix.loaded_system import LoadedSystem, load
-from calibration.pipeline.matrix.software import (
+from calibration.pipeline.containers import (
     DATASET_FOLDER,
     START_FOLDER,
     Software,
     adjusted_software,
     software_from,
 )
+from calibration.pipeline.matrix.cell_result import Cell, CellResult
+from calibration.pipeline.matrix.loaded_system import LoadedSystem, load
 from calibration.pipeline.matrix.software_cell import cell_job, software_result
 from calibration.pipeline.system import System
 

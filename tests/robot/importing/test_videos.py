@@ -155,7 +155,7 @@ def test_decoding_that_takes_too_long_is_ended(tmp_path: Path, monkeypatch: pyte
     )
     child = (
         "import sys; sys.path.insert(0, sys.argv.pop(1)); "
-        f"from calibration.robot.importing.files import confined_decoding as child; {busy}"
+        f"from calibration.robot.importing.files import confined_decoding; {busy}"
     )
     monkeypatch.setattr(confined_decoding, "_CHILD_CODE", child)
     monkeypatch.setattr(confined_decoding, "CPU_SECONDS", 1)
