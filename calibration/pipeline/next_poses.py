@@ -233,8 +233,6 @@ def next_poses_report(advised: Mapping[str, AdvisedPoses]) -> Report:
             each.found.sentence if alone else f"{name}: {each.found.sentence}" for name, each in advised.items()
         ),
         results=NextPosesOfSystems({name: each.found for name, each in advised.items()}),
-        suites={},
-        outputs={},
         blocks=(goals, Lines(lines, title="What to record")),
         files={**files, PAGE_FILE: page(TITLE, [element("h1", TITLE), *sections])},
     )

@@ -339,8 +339,6 @@ def _finished(recording: WatchedRecording, output: Path | None, overwrite: bool)
         verdict="fail" if found.fault else "pass",
         sentence=f"{count_of(total, 'image')}, {used} used; {recording.sentence}",
         results={"images": total, "used": used, "collections": collections},
-        suites={},
-        outputs={},
         blocks=(
             Table(("not used", "images"), tuple((k, str(n)) for k, n in counts.most_common() if k)),
             Table(
