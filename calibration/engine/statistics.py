@@ -196,7 +196,6 @@ def creeps(values: Array, noise: Array, changes: Sequence[int]) -> bool:
 
 TURNS = 4
 """Directions of a quadrant about the axis."""
-GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
 NEWTON_STEPS = 3
 _LENGTHS = np.linspace(0.0, 8.0, 1601)
 _DENSITY = np.sqrt(2 / np.pi) * _LENGTHS**2 * np.exp(-(_LENGTHS**2) / 2)
@@ -241,11 +240,12 @@ def _probability_within(x: Array, sizes: Array, weights: Array) -> tuple[Array, 
 
 def _sizes_by_direction(S: Array) -> tuple[Array, Array]:
     """Return the sizes (n, q) of errors by a unit step in each direction, and the weights (q,) of these."""
-    along = (GAUSS_NODES + 1) / 2  # of the unit step, on the axis of the largest error
+    nodes, node_weights = np.polynomial.legendre.leggauss(8)  # here, as numpy.polynomial is slow to import
+    along = (nodes + 1) / 2  # of the unit step, on the axis of the largest error
     about = (np.arange(TURNS) + 0.5) / TURNS * np.pi / 2
     variances = np.zeros((len(S), 3))
     variances[:, : S.shape[-1]] = np.maximum(np.linalg.eigvalsh(S)[:, ::-1], 0.0)
     across = 1 - along[:, None] ** 2
     squares = np.stack([along[:, None] ** 2 + 0 * about, across * np.cos(about) ** 2, across * np.sin(about) ** 2])
-    weights = np.repeat(GAUSS_WEIGHTS / 2 / TURNS, TURNS)
+    weights = np.repeat(node_weights / 2 / TURNS, TURNS)
     return np.sqrt(variances @ squares.reshape(3, -1)), weights

@@ -11,7 +11,7 @@ import zlib
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from calibration.engine.dataset.document import MAX_BYTES, Node, shown
 from calibration.engine.geometry.cameras import Camera
 
 Cloud = NDArray[np.floating[Any]]
-"""Points (N, 3) of a cloud in the sensor's frame (m), usually a view of a file's content."""
+"""Points (N, 3) of a cloud in the sensor's frame (m)."""
 
 MAX_DECOMPRESSED = 1 << 29
 """Limit of the bytes of a compressed file's points."""
@@ -127,43 +127,30 @@ def _decompress_lzf(data: bytes, expected: int) -> bytes:
     return bytes(found)
 
 
-class _Layout:
+class _Layout(NamedTuple):
     """Layout of x, y and z in the bytes of a point, or in the words of a line of ASCII."""
 
-    def __init__(self, step: int, offsets: list[int], types: list[str], width: int, words: list[int]) -> None:
-        self.step = step
-        self.offsets = offsets
-        self.types = types
-        self.width = width
-        self.words = words
+    step: int
+    offsets: list[int]
+    types: list[str]
+    width: int = 0
+    words: tuple[int, ...] = ()
 
     def points(self, data: bytes, start: int, count: int) -> Cloud:
-        """Decode packed data: a view if x, y and z are evenly spaced, else a copy."""
+        """Decode packed data."""
         if len(data) - start < count * self.step:
             raise InputError(
                 f"found {len(data) - start} bytes of points, expected {count * self.step} for {count} points; "
                 "is it truncated?"
             )
-        if not count:
-            return np.empty((0, 3))
-        (x, y, z), types = self.offsets, self.types
-        if y - x == z - y > 0 and types[0] == types[1] == types[2]:
-            return np.ndarray((count, 3), types[0], data, start + x, (self.step, y - x))
-        columns = [
-            np.ndarray((count,), type_, data, start + offset, (self.step,))
-            for type_, offset in zip(types, self.offsets, strict=True)
-        ]
-        return np.stack(columns, -1)
+        packed = np.dtype({"names": "xyz", "formats": self.types, "offsets": self.offsets, "itemsize": self.step})
+        found = np.ndarray((count,), packed, data, start) if count else np.empty(0, packed)
+        return np.stack([found[axis] for axis in "xyz"], -1)
 
     def columns(self, data: bytes, count: int) -> Cloud:
         """Decode data in which each field's values of all points follow each other."""
-        return np.stack(
-            [
-                np.frombuffer(data, type_, count, offset * count)
-                for type_, offset in zip(self.types, self.offsets, strict=True)
-            ],
-            -1,
-        )
+        places = zip(self.types, self.offsets, strict=True)
+        return np.stack([np.frombuffer(data, type_, count, offset * count) for type_, offset in places], -1)
 
 
 @lru_cache(maxsize=16)
@@ -188,7 +175,7 @@ def _pcd_layout(fields: str, size: str, type_: str, count: str) -> _Layout:
         offsets=[sum(bytes_of[:i]) for i in at],
         types=[f"<f{sizes[i]}" for i in at],
         width=sum(counts),
-        words=[sum(counts[:i]) for i in at],
+        words=tuple(sum(counts[:i]) for i in at),
     )
 
 
@@ -249,7 +236,7 @@ def decode_message(message: Node) -> Cloud:
         size = 4 if fields[axis]["datatype"].whole(7, 8) == 7 else 8  # sensor_msgs/PointField: FLOAT32, FLOAT64
         types.append(f"{order}f{size}")
         offsets.append(fields[axis]["offset"].whole(0, max(0, step - size)))
-    return _Layout(step, offsets, types, 0, []).points(data, 0, rows * columns)
+    return _Layout(step, offsets, types).points(data, 0, rows * columns)
 
 
 def _message_bytes(node: Node) -> bytes:

@@ -303,9 +303,7 @@ def _range_to_rgb_table(
     else:
         pairs = same_collection(dataset, sensor, camera, list(views))
     labels, rows, left_out = [], [], []
-    for i, j, T, name in zip(
-        pairs.source.tolist(), pairs.target.tolist(), pairs.T_target_source, pairs.names, strict=True
-    ):
+    for i, j, T, name in pairs:
         pixels, visible = intrinsics.project_visible(apply(T, views[i].points[views[i].limits]))
         with np.errstate(invalid="ignore"):
             pixels = pixels[visible & intrinsics.contains(pixels)]
@@ -445,9 +443,7 @@ def _range_table(
     else:
         pairs = same_collection(dataset, *sensors, [i for i in source if i in target])
     labels, rows, left_out = [], [], []
-    for i, j, T, name in zip(
-        pairs.source.tolist(), pairs.target.tolist(), pairs.T_target_source, pairs.names, strict=True
-    ):
+    for i, j, T, name in pairs:
         difference = errors(source[i], target[j], T)
         if len(difference):
             labels.append(name)

@@ -1,6 +1,6 @@
 """Views of sensors, chosen by name, with the pose that each determines alone, and pairs of them to compare."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -197,6 +197,9 @@ class Pairs:
     """(P, 4, 4): between the sensors' data frames."""
     names: list[str]
     """``000`` of one collection, ``000-001`` of two."""
+
+    def __iter__(self) -> Iterator[tuple[int, int, Array, str]]:
+        return zip(self.source.tolist(), self.target.tolist(), self.T_target_source, self.names, strict=True)
 
 
 def point_views(dataset: Dataset, sensor: Sensor, pattern: Pattern) -> dict[int, PointLabels]:
