@@ -22,12 +22,9 @@ from calibration.engine.geometry.transforms import local
 
 MODULES = (
     *(f"estimation/residuals/{name}.py" for name in ("views", "corner_residuals", "ray_residuals", "pose_residuals")),
-    *(f"estimation/problem/{name}.py" for name in ("problem", "usable_labels")),
-    *(
-        f"estimation/least_squares/{name}.py"
-        for name in ("normal_equations", "minimisation", "noise_levels", "optimisation")
-    ),
-    "estimation/start/wrong_views.py",
+    "estimation/problem/problem.py",
+    *(f"estimation/least_squares/{name}.py" for name in ("normal_equations", "minimisation", "noise_levels")),
+    *(f"estimation/start/{name}.py" for name in ("build", "wrong_views")),
     *(
         f"geometry/{name}.py"
         for name in ("cameras", "lenses/pinhole", "lenses/wide", "transforms", "rotations", "frames")
