@@ -3,11 +3,13 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from calibration.engine.dataset.model import Dataset
-from calibration.engine.diagnosis.as_recorded import missing_files, repeated, turned_boards
+from calibration.engine.dataset.pattern import CIRCLE_KINDS, PatternKind
 from calibration.engine.diagnosis.conventions.trying import conventions, doubts
 from calibration.engine.diagnosis.description import exchanged_or_scaled, far_from_description
-from calibration.engine.diagnosis.finding import Finding, FindingKind
+from calibration.engine.diagnosis.finding import Finding, FindingKind, first_names
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.precision import camera_info, precision, too_few
 from calibration.engine.diagnosis.projection import of_cameras_alone, projection
@@ -17,6 +19,7 @@ from calibration.engine.diagnosis.robot_tasks import unsure_tasks
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.options import Options
+from calibration.engine.estimation.start.ambiguous_views import LOOKS_THE_SAME
 from calibration.engine.tasks.task_errors import TaskError
 
 
@@ -128,3 +131,62 @@ CHECKS = (
     Check(_said_by_the_engine, without_result=True),
 )
 """In the order of the report; a check sees what those before it have found."""
+
+
+MAX_NAMED_COLLECTIONS = 8
+"""Number of collections that a message names."""
+
+
+def missing_files(dataset: Dataset) -> tuple[Finding, ...]:
+    """Report the labels that are left out because their files are missing, by sensor."""
+    return tuple(
+        Finding(
+            "missing-files",
+            "warning",
+            f"{dataset.missing_files_of(sensor)}; "
+            + (
+                "its labels in these are left out"
+                if sensor in dataset.sensors
+                else "it is not calibrated, and stays where the robot's description puts it"
+            ),
+            sensors=(sensor,),
+            value=float(len(files)),
+        )
+        for sensor, files in dataset.missing_files.items()
+    )
+
+
+def turned_boards(calibration: Calibration) -> tuple[Finding, ...]:
+    """Report by pattern and sensor the views that were turned back."""
+    findings = []
+    for pattern, sensor in dict.fromkeys((p, s) for p, s, _ in calibration.turned_views):
+        keys = tuple(key for p, s, key in calibration.turned_views if (p, s) == (pattern, sensor))
+        listed = first_names(keys, MAX_NAMED_COLLECTIONS)
+        views = len(calibration.dataset.detections(pattern, sensor))
+        text = (
+            f"{sensor}: {len(keys)} of {views} views of '{pattern}' are numbered from its other end ({listed}), and "
+            f"were turned back: {LOOKS_THE_SAME}; take "
+            f"{_describe_unique_board(calibration.dataset.patterns[pattern].kind)}"
+        )
+        findings.append(Finding("turned-board", "warning", text, (sensor,), keys, value=float(len(keys))))
+    return tuple(findings)
+
+
+def _describe_unique_board(kind: PatternKind) -> str:
+    if kind in CIRCLE_KINDS:
+        return "an asymmetric grid with an odd number of rows, or a charuco board"
+    return "one with an odd and an even number of squares, or a charuco board"
+
+
+def repeated(calibration: Calibration) -> tuple[Finding, ...]:
+    """Report the number of collections that repeat the poses of others."""
+    keys, clusters = calibration.solution.dataset.keys, calibration.solution.clusters
+    again = np.flatnonzero(clusters != np.arange(len(clusters))).tolist()
+    if not again:
+        return ()
+    listed = first_names([f"{keys[i]} = {keys[clusters[i]]}" for i in again], MAX_NAMED_COLLECTIONS)
+    text = (
+        f"{len(again)} of {len(keys)} collections repeat the poses of others ({listed}); they tell noise, but "
+        f"nothing new about the robot: {len(keys) - len(again)} count"
+    )
+    return (Finding("repeated", "note", text, collections=tuple(keys[i] for i in again), value=float(len(again))),)

@@ -9,7 +9,7 @@ import pytest
 from calibration.base import InputError, UndeterminedError
 from calibration.engine.dataset.reading import read_dataset
 from calibration.engine.dataset.writing import write_dataset
-from calibration.engine.diagnosis.as_recorded import missing_files
+from calibration.engine.diagnosis.diagnose import missing_files
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.evaluation.specification import parse_evaluation
 from tests.pipeline.conftest import DATASETS

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from calibration.engine.dataset.model import CornerLabels, Dataset
-from calibration.engine.diagnosis.as_recorded import repeated
+from calibration.engine.diagnosis.diagnose import repeated
 from calibration.engine.estimation.calibrate import calibrate
 from calibration.engine.estimation.covariance.clusters import repeated_collections
 from tests.engine.estimation.scenes import Scene, relabelled

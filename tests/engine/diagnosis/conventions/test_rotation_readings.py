@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.base.arrays import Array
-from calibration.engine.diagnosis.conventions.rotation_readings import (
+from calibration.engine.diagnosis.conventions.arm_hypotheses import (
     QUATERNION_ORDERS,
     THREE_NUMBER_READINGS,
     Reading,

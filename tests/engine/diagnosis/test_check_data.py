@@ -11,7 +11,7 @@ from calibration.base import InputError
 from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.dataset.pattern import grid, tag_grid
 from calibration.engine.dataset.reading import read_dataset
-from calibration.engine.diagnosis.board_order import check_board_order
+from calibration.engine.diagnosis.check_data import check_board_order
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.transforms import apply, transform
 from tests.engine.estimation.scenes import relabelled
