@@ -6,6 +6,8 @@ enough is decided by its error bars and the limits. There the chance of both rec
 measures, with views as the independent units, since the labels of a view err and fail together:
 
 - noise and RMS are standard deviations: the ratio of their squares is F-distributed, with 2 degrees of freedom a view;
+  what light, focus and distance usually change counts as allowed: up to twice the baseline's, and any noise that a good
+  detector keeps;
 - rejected labels are a proportion: ``2 asin(sqrt(p))`` has the variance ``1 / n`` whatever p is (F. J. Anscombe, "The
   transformation of Poisson, binomial and negative-binomial data", 1948);
 - an error bar falls with the root of the number of independent collections, and is compared at the same number.
@@ -28,6 +30,7 @@ from calibration.base.verdict import Check, at_most
 from calibration.engine.baseline.calibration_document import CalibrationDocument
 from calibration.engine.baseline.comparison import BaselineComparison
 from calibration.engine.diagnosis.finding import Finding, Severity
+from calibration.engine.estimation.covariance.error_bars import MAX_NOISE
 from calibration.engine.statistics import score_of_f, threshold
 
 BASELINE_FILE = "calibration-baseline.json"
@@ -85,6 +88,10 @@ class BaselineSettings:
 
 
 HOW_TO_ACCEPT = "accept it: calibration accept"
+USUAL_RATIO = 2.0
+"""Ratio of noise and RMS to those of the baseline up to which other light, another focus or distance explains them,"""
+MAX_USUAL_RMS = 1.0
+"""px: RMS up to which they do, whatever that of the baseline; and noise does up to that of a good detector."""
 MAX_RATIO_OF_EXTENTS = 1.25
 """Noise and RMS in px are compared if the pattern is as large in the images but for this factor. A board at twice the
 distance has half the pixels along each edge, and its corners scatter more."""
@@ -97,7 +104,8 @@ class _Measure:
     what: str
     before: float | None
     now: float | None
-    allowance: Allowance
+    most: float
+    """Allowed now."""
     unit: str
     significant: bool
     """Whether the difference, beyond what is allowed, is more than chance; always on the same data."""
@@ -111,7 +119,7 @@ def quality(comparison: BaselineComparison, settings: BaselineSettings) -> Itera
     for each in _compared_measures(comparison, settings):
         if each.before is None or not each.significant:
             continue
-        check = at_most(each.what, each.now, each.allowance.above(each.before), each.unit)
+        check = at_most(each.what, each.now, each.most, each.unit)
         if not check.passed:
             advice = (
                 "" if comparison.same_data else "; the limits decide whether it matters: look at light, focus, distance"
@@ -137,32 +145,33 @@ def largest_standard_deviations(before: CalibrationDocument, now: CalibrationDoc
 def _compared_measures(comparison: BaselineComparison, settings: BaselineSettings) -> list[_Measure]:
     before, now, most = comparison.before, comparison.now, settings.max_increase
     levels = now.noise.given()
-    pairs = [("RMS", before.rms_px, now.rms_px, most.rms, "px")]
+    pairs = [("RMS", before.rms_px, now.rms_px, most.rms, MAX_USUAL_RMS, "px")]
     pairs += [
-        (f"noise of the labels ({kind})", level, levels.get(kind), most.noise, "")
+        (f"noise of the labels ({kind})", level, levels.get(kind), most.noise, MAX_NOISE[kind], "")
         for kind, level in before.noise.given().items()
     ]
     same = comparison.same_data
     score = 0.0 if same else threshold(len(pairs) + 1)
     comparable = same or _are_as_large_in_the_images(before, now)
-    measures = [
-        _Measure(
-            what, old, new, allowance, unit,
-            same or (comparable and _score_of_deviations(old, new, allowance, before, now) > score),
-        )
-        for what, old, new, allowance, unit in pairs
-    ]  # fmt: skip
+    measures = []
+    for what, old, new, allowance, usual, unit in pairs:
+        allowed = allowance.above(old or 0.0)
+        allowed = allowed if same else max(allowed, USUAL_RATIO * (old or 0.0), usual)
+        significant = same or (comparable and _score_of_deviations(allowed, new, before, now) > score)
+        measures.append(_Measure(what, old, new, allowed, unit, significant))
     sigma, new_sigma = largest_standard_deviations(before, now)
     fewer = 1.0 if same else _more_by_fewer_collections(before, now)
-    measures.append(_Measure("largest standard deviation", sigma * fewer, new_sigma, most.sigma, "mm", True))
-    measures += [
-        _Measure(f"error of task '{name}'", old.most * fewer, new.most, most.sigma, old.unit, True)
-        for name, old in before.tasks.items()
-        if (new := now.tasks.get(name)) is not None and new.unit == old.unit
+    sigmas = [("largest standard deviation", sigma, new_sigma, "mm")]
+    sigmas += [
+        (f"error of task '{name}'", task.most, again.most, task.unit)
+        for name, task in before.tasks.items()
+        if (again := now.tasks.get(name)) is not None and again.unit == task.unit
     ]
+    for what, wide, wide_now, unit in sigmas:
+        measures.append(_Measure(what, wide * fewer, wide_now, most.sigma.above(wide * fewer), unit, True))
     rejected = [100 * each.rejected_labels / max(1, each.labels) for each in (before, now)]
     worse = same or _score_of_proportions(before, now, most.rejected) > score
-    measures.append(_Measure("rejected labels", rejected[0], rejected[1], most.rejected, "%", worse))
+    measures.append(_Measure("rejected labels", rejected[0], rejected[1], most.rejected.above(rejected[0]), "%", worse))
     return measures
 
 
@@ -179,13 +188,13 @@ def _more_by_fewer_collections(before: CalibrationDocument, now: CalibrationDocu
 
 
 def _score_of_deviations(
-    old: float | None, new: float | None, allowance: Allowance, before: CalibrationDocument, now: CalibrationDocument
+    allowed: float, new: float | None, before: CalibrationDocument, now: CalibrationDocument
 ) -> float:
     """Return the standard score of a larger standard deviation than the allowed one; infinite if one is unknown."""
-    if old is None or new is None or old <= 0:
+    if new is None or allowed <= 0:
         return math.inf
     first, second = (2 * _views_in_all(each) for each in (before, now))
-    return float(score_of_f((new / allowance.above(old)) ** 2, second, first))
+    return float(score_of_f((new / allowed) ** 2, second, first))
 
 
 def _score_of_proportions(before: CalibrationDocument, now: CalibrationDocument, allowance: Allowance) -> float:

@@ -31,12 +31,19 @@ def test_the_extents_are_those_of_the_pattern_in_the_images(before: CalibrationD
     assert all(20 < each < 2000 for each in before.extents.values())
 
 
-@pytest.mark.parametrize("factor", [1.5, 3.0])
-def test_more_noise_is_a_warning_on_other_data_and_red_on_the_same(factor: float, before: CalibrationDocument) -> None:
-    noise = replace(before.noise, pixel=factor * (before.noise.pixel or 0))
-    [found] = findings(before, on_other_data(before, noise=noise))
-    assert found.severity == "warning"
+@pytest.mark.parametrize(("pixel", "warned"), [(0.3, False), (0.6, True)])
+def test_more_noise_than_light_and_focus_usually_make_is_a_warning_on_other_data_and_red_on_the_same(
+    pixel: float, warned: bool, before: CalibrationDocument
+) -> None:
+    noise = replace(before.noise, pixel=pixel)
+    assert [each.severity for each in findings(before, on_other_data(before, noise=noise))] == ["warning"] * warned
     assert {each.severity for each in findings(before, replace(before, noise=noise))} == {"red"}
+
+
+def test_noise_of_a_bad_baseline_is_compared_with_twice_that(before: CalibrationDocument) -> None:
+    bad = replace(before, noise=replace(before.noise, pixel=0.5))
+    assert findings(bad, on_other_data(before, noise=replace(before.noise, pixel=0.9))) == []
+    assert findings(bad, on_other_data(before, noise=replace(before.noise, pixel=2.0))) != []
 
 
 def test_what_is_chance_is_nothing(before: CalibrationDocument) -> None:
@@ -48,9 +55,9 @@ def test_what_is_chance_is_nothing(before: CalibrationDocument) -> None:
 def test_noise_of_a_smaller_pattern_in_the_images_is_not_compared(before: CalibrationDocument) -> None:
     assert before.rms_px is not None
     farther = {name: 0.6 * extent for name, extent in before.extents.items()}
-    assert findings(before, on_other_data(before, rms_px=3 * before.rms_px, extents=farther)) == []
+    assert findings(before, on_other_data(before, rms_px=2.0, extents=farther)) == []
     without = replace(before, extents={})  # of an older file
-    assert findings(without, on_other_data(before, rms_px=3 * before.rms_px)) != []
+    assert findings(without, on_other_data(before, rms_px=2.0)) != []
 
 
 @pytest.mark.parametrize(
