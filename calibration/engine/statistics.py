@@ -221,6 +221,16 @@ def probability_beyond(S: Array, limit: float) -> Array:
     return np.maximum(0.0, 1 - _probability_within(np.full(len(S), limit), sizes, weights)[0])
 
 
+def median_of_norm(mean: Array, C: Array) -> float:
+    """Return the median norm of an error with a mean (k,) and a covariance (k, k), to a few per cent.
+
+    A chi-square variable of the same mean and variance (P. B. Patnaik, 1949), by the cube root of E. B. Wilson and
+    M. M. Hilferty (1931).
+    """
+    square, variance = float(mean @ mean + np.trace(C)), float(2 * np.trace(C @ C) + 4 * mean @ C @ mean)
+    return float(np.sqrt(square * max(0.0, 1 - variance / (9 * square**2)) ** 3)) if square > 0 else 0.0
+
+
 def size_without_error(x: Array, errors: Array) -> float:
     """Return the size of an estimate x (k,) without what its independent errors (k, r) make it longer.
 

@@ -157,6 +157,7 @@ MISTAKES = (
     Mistake("left-handed poses", ON_ARMS, _arm(_left_handed), ("left-handed",)),
     Mistake("poses one image late", ON_ARMS, lambda d: shifted(d, 1, ()), ("earlier",)),
     Mistake("squares 5 % too large", ARMS, lambda d: with_scaled_board(d, 1.05), ("squares", "size")),
+    Mistake("board printed to fit the page", ARMS, lambda d: with_scaled_board(d, 1 / 0.96), ("squares", "size")),
     Mistake("squares 20 % too large", ARMS, lambda d: with_scaled_board(d, 1.2), ("squares", "size")),
     Mistake("camera_info of half the resolution", ARMS, _resolution, ("resolution", "focal length")),
     Mistake("pattern's poses inverse", PAIRS, _seen(inverse_pose), INVERSE),

@@ -17,7 +17,7 @@ from calibration.engine.diagnosis.limits import (
     sizes,
     stated,
 )
-from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO
+from calibration.engine.estimation.covariance.fixed_inputs import CAMERA_INFO, PLACE_KIND
 from calibration.engine.estimation.covariance.lens_errors import NUMBER_OF_VIEWS, LensSource
 from calibration.engine.estimation.covariance.result import Calibration
 from calibration.engine.estimation.covariance.suspects import MIN_CONTRADICTING_FACTOR, disagreement
@@ -73,6 +73,8 @@ def precision(calibration: Calibration, limits: Limits, found: Sequence[Finding]
     if any(each.severity == "red" for each in wrong):
         return ()
     findings, explained = [], any(each.severity == "undecided" for each in wrong)
+    if any(each.kind == "contradiction" for each in wrong) and (varying := calibration.solution.varying):
+        explained = explained or varying.causes[0].kind != PLACE_KIND  # what that does is told
     for name, sigmas in stated(calibration).items():
         limit = allowed(calibration, limits, name)
         most = (limit.translation_mm, limit.rotation_deg)

@@ -105,6 +105,11 @@ def _parts_of_labels(calibration: Calibration, labels: LabelErrors) -> tuple[Arr
     return np.clip(np.searchsorted(edges, far) - 1, 0, RANGE_PARTS - 1), names
 
 
+def neighbours_err_alike(calibration: Calibration) -> bool:
+    """Whether neighbouring corners of a camera err alike: something in its views is not as it is taken to be."""
+    return any(_find_correlated_neighbours(calibration, each) for each in label_errors(calibration.solution))
+
+
 def _find_correlated_neighbours(calibration: Calibration, labels: LabelErrors) -> list[Finding]:
     """Find correlated errors of neighbouring corners in the same view."""
     pattern = calibration.dataset.patterns[labels.pattern]

@@ -11,6 +11,7 @@ from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.diagnosis.limits import SENSOR_UNITS, TWIST_UNITS, Limits, allowed, block_of, sizes, stated
 from calibration.engine.diagnosis.precision import MIN_FAILURE_PROBABILITY, false_accept
 from calibration.engine.diagnosis.projection import projection_limit, shifts
+from calibration.engine.diagnosis.residuals import neighbours_err_alike
 from calibration.engine.diagnosis.robot_tasks import breaks_by_disagreement, worst_at_tasks
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ECCENTRICITY_KIND,
@@ -21,6 +22,7 @@ from calibration.engine.estimation.covariance.fixed_inputs import (
     RADIAL_KIND,
     RING_KIND,
     SAG_KIND,
+    SHUTTER_KIND,
     Cause,
 )
 from calibration.engine.estimation.covariance.result import Calibration
@@ -33,10 +35,11 @@ from calibration.engine.estimation.covariance.suspects import (
     Suspect,
     columns_of_cause,
 )
+from calibration.engine.estimation.covariance.varying_causes import VaryingCause
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.lenses import MODELS
 from calibration.engine.geometry.transforms import adjoint
-from calibration.engine.statistics import probability_beyond, score_of_f, size_without_error, threshold
+from calibration.engine.statistics import median_of_norm, probability_beyond, score_of_f, size_without_error, threshold
 from calibration.engine.tasks.task_errors import TaskError
 
 GROSS_DEVIATIONS: Mapping[str, tuple[float, str]] = {
@@ -95,9 +98,16 @@ ADVICE_ON_CHANGE: Mapping[str, str] = {
     ENCODER_KIND: "reference this joint anew, as after a power cycle or a slip, and collect anew",
 }
 """Advice on what has changed between two collections."""
+AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
+ADVICE_ON_VARIATION: Mapping[str, str] = {
+    "principal point": "something shifts the images one by one: switch a stabiliser or a moving crop off",
+    **dict.fromkeys(("focal length", "image scale"), "fix zoom and focus, and switch autofocus off"),
+    SHUTTER_KIND: "a rolling shutter: stand still for each image, or take a camera with a global one",
+    PLACE_KIND: f"look at time stamps, and at what moved or gave way; {AT_STANDSTILL}",
+}
+"""Advice on what varies from collection to collection."""
 MIN_MOVES_OF_UNSTEADY = 2
 """Number of moves within a recording from which on it is rather something that does not stand still."""
-AT_STANDSTILL = "take all images of a collection at one moment, board and robot standing still"
 MAX_NAMED_COLLECTIONS = 4
 """Number of contradicting collections that are named, each at least half as bad as the worst one."""
 _UNIT_FOR_USER = {"1": (100.0, "%"), "m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "px": (1.0, "px")}
@@ -199,7 +209,10 @@ def _finding_on_suspect(
         was, now = distance_text(*before[sensor]), distance_text(*after[sensor])
         harm = f"one pose for all of them is {was} from where {sensor} was before, {now} from where it is now"
         if any(unsure[sensor]):
-            harm += f", known to {distance_text(*unsure[sensor])} as few views tell"
+            harm += (
+                f", known to {distance_text(*unsure[sensor])} as few views tell how far; that it has moved is certain, "
+                "so that the estimate counts"
+            )
     text = f"{names} {verb}{since}{either}: {_describe_size(cause, suspect.value, suspect.sigma)}"
     at_task = worst_at_tasks(tasks, _changes_by(calibration, [suspect]), _errors_of_changes(calibration, suspect))
     if over:
@@ -490,29 +503,75 @@ def _find_contradictions(
     setup = calibration.solution.setup
     at = setup.problem.shared_parameters
     edges = {sensor.name: sensor.edge for sensor in calibration.dataset.sensors.values()}
-    beyond = {name: found.beyond(at[block]) for name, edge in edges.items() if (block := setup.block(edge)) in at}
+    places = {name: at[block] for name, edge in edges.items() if (block := setup.block(edge)) in at}
+    beyond = {name: found.beyond(own) for name, own in places.items()}
+    significant = [
+        name
+        for name, ratio in beyond.items()
+        if ratio > MIN_CONTRADICTING_FACTOR
+        and score_of_f(ratio, found.freedom(places[name]), DEGREES_IF_NOT_ESTIMATED) > threshold(len(beyond))
+    ]
+    limit_of = {name: allowed(calibration, limits, name) for name in places}
+    sigmas = {name: each for name, each in stated(calibration).items() if name in places}
+    unsure = any(limit_of[name].exceeded(limits.guard * mm, limits.guard * deg) for name, (mm, deg) in sigmas.items())
+    varying = calibration.solution.varying if significant or unsure or neighbours_err_alike(calibration) else None
     findings = []
-    for name, ratio in sorted(beyond.items(), key=lambda each: -each[1]):
-        freedom = found.freedom(at[setup.block(edges[name])])
-        if ratio <= MIN_CONTRADICTING_FACTOR or score_of_f(ratio, freedom, DEGREES_IF_NOT_ESTIMATED) <= threshold(
-            len(beyond)
-        ):
+    for name in sorted(beyond, key=lambda each: -beyond[each]):
+        limit, (mm, degrees) = limit_of[name], sigmas[name]
+        off = _off_by_variation(varying, places[name], name not in significant) if varying else (mm, degrees)
+        if name not in significant and not (varying and limit.exceeded(*off)):
             continue
         subject, keys = _worst_subject(calibration, found, (name, *calibration.dataset.patterns))
-        mm, degrees = stated(calibration)[name]
-        limit = allowed(calibration, limits, name)
-        broken = tuple(each.task.name for each in tasks if _is_broken(each, at[setup.block(edges[name])]))
+        broken = tuple(each.task.name for each in tasks if _is_broken(each, places[name]))
         worst = max(false_accept(mm, limit.translation_mm), false_accept(degrees, limit.rotation_deg))
-        harmful = bool(broken) or worst > MIN_FAILURE_PROBABILITY
-        text = (
-            f"the views of {name} contradict each other: they scatter {ratio**0.5:.2g} times as far as noise and all "
-            f"that is assumed explain, most {subject} in {_list_collections(keys)}, and leave it uncertain by "
-            f"{distance_text(mm, degrees)} (limit {limit}); no fixed parameter "
-            f"explains it: time stamps, or something that moved or gave way{f': {AT_STANDSTILL}' if harmful else ''}"
-        )
+        harmful = bool(broken) or (varying is not None and limit.exceeded(*off))
+        if name in significant and (varying is None or varying.causes[0].kind == PLACE_KIND):  # it does not stand still
+            harmful = harmful or worst > MIN_FAILURE_PROBABILITY
+        where, advice = f"most {subject} in {_list_collections(keys)}", AT_STANDSTILL
+        if varying:
+            advice = ADVICE_ON_VARIATION.get(varying.causes[0].kind, AT_STANDSTILL)
+            text = f"{where}, as {_describe_variation(varying)}; by that it is off by "
+            text += f"{distance_text(*off)} (limit {limit})"
+        else:
+            text = (
+                f"they scatter {beyond[name] ** 0.5:.2g} times as far as noise and all that is assumed explain, "
+                f"{where}, and leave it uncertain by {distance_text(mm, degrees)} (limit {limit}); no fixed parameter "
+                "explains it: time stamps, or something that moved or gave way"
+            )
+        text = f"the views of {name} contradict each other: {text}{f': {advice}' if harmful else ''}"
         severity: Severity = "red" if harmful else "note"
-        findings.append(Finding("contradiction", severity, text, (name,), keys, value=ratio, tasks=broken))
+        findings.append(Finding("contradiction", severity, text, (name,), keys, value=beyond[name], tasks=broken))
     return findings
+
+
+def _off_by_variation(varying: VaryingCause, own: slice, surely: bool) -> tuple[float, float]:
+    """Return by how much a sensor is as likely off by more as by less, mm and degrees, if a cause varies.
+
+    Args:
+        varying: the cause.
+        own: the sensor's parameters.
+        surely: only what its error bar does not explain, of a sensor whose views need not contradict each other.
+    """
+    change, C = varying.change[own], varying.covariance[own, own]
+    m, rad = (
+        size_without_error(change[part], np.asarray(np.linalg.cholesky(C[part, part])))
+        if surely
+        else median_of_norm(change[part], C[part, part])
+        for part in (slice(3), slice(3, 6))
+    )
+    return 1e3 * m, float(np.degrees(rad))
+
+
+def _describe_variation(varying: VaryingCause) -> str:
+    cause, sigmas = varying.causes[0], varying.sigmas
+    names = " or ".join(dict.fromkeys(_name_cause(each) for each in varying.causes))
+    if cause.size == 6:
+        size = distance_text(1e3 * sigmas[0], float(np.degrees(sigmas[3])))
+    else:
+        factor, unit = _UNIT_FOR_USER.get(cause.unit, (1.0, cause.unit))
+        size = f"{factor * sigmas.max():.2g} {unit}"
+    which = ", the data cannot tell which," if varying.causes[1:] else ""
+    return f"{names}{which} {'moves' if cause.kind == PLACE_KIND else 'varies'} from collection to collection by {size}"
 
 
 def _is_broken(task: TaskError, own: slice) -> bool:

@@ -25,10 +25,10 @@ from calibration.engine.dataset.model import Dataset, Labels, PoseLabels
 from calibration.engine.dataset.sensors import MAX_LAG
 from calibration.engine.estimation.at_optimum import from_linear_start
 from calibration.engine.estimation.covariance.calibrated import calibrated_dataset
+from calibration.engine.estimation.covariance.cluster_state import MIN_INFORMATION_LEFT
 from calibration.engine.estimation.covariance.fixed_inputs import LAG_KIND, SCALE_KIND
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.result import Calibration
-from calibration.engine.estimation.covariance.suspects import MIN_INFORMATION_LEFT
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.options import ALL_EXACT, Options
 from calibration.engine.estimation.problem.blocks import Values

@@ -15,7 +15,7 @@ from calibration.base.arrays import Array, IntArray
 from calibration.engine.dataset.model import Dataset, Edge, Sensor
 from calibration.engine.dataset.pattern import Pattern
 from calibration.engine.estimation.covariance.lens_errors import LensErrors, LensSource
-from calibration.engine.estimation.least_squares.label_columns import ColumnNames, ring_column
+from calibration.engine.estimation.least_squares.label_columns import COLUMNS_OF_SHUTTER, ColumnNames, ring_column
 from calibration.engine.estimation.options import Assumptions
 from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL
 from calibration.engine.estimation.residuals.ray_residuals import RING_GAP, RangeTerm, elevations
@@ -54,6 +54,8 @@ ECCENTRICITY_KIND = "eccentricity"
 """Kind of an error of a joint that comes again with each turn, and is not 0 where the encoder was zeroed."""
 SAG_KIND = "sag"
 """Kind of the weight that bends an arm, the farther it reaches the more."""
+SHUTTER_KIND = "motion while an image is read"
+"""Kind of a rolling shutter's error: in each collection another, so that it is only tested as what varies."""
 RING_KIND = "ring elevation"
 """Kind of the elevation offset of one of a LiDAR's rings."""
 MAX_RINGS = 64
@@ -263,6 +265,8 @@ def _of_sensor(seen: SeenGroup, assume: Assumptions, free: Sequence[str], lens: 
     higher = [name for name in model.higher if name in model.names() and name not in free]
     yield from part("lens model", "1", *({name: 1.0} for name in (*higher, *ERRORS_BEYOND_LENS_MODEL[1:])))
     yield from part(_kind_of_curve(model), "1", *({name: 1.0} for name in model.radial))
+    shutter = _combinations_of_subject(sensor, [{name: 1.0} for name in COLUMNS_OF_SHUTTER])
+    yield Cause(SHUTTER_KIND, sensor, "m", (0.0,) * len(shutter), shutter, counts=False, tested=False)
     if model.tangential:
         yield from part("tangential distortion", "1", *({name: 1.0} for name in model.tangential))
 

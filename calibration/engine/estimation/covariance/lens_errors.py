@@ -20,11 +20,11 @@ import numpy as np
 from calibration.base.arrays import Array
 from calibration.engine.dataset.model import LensUncertainty
 from calibration.engine.dataset.pattern import Pattern, grid, rectangle
-from calibration.engine.estimation.least_squares.label_columns import COLUMNS_OF_BENT_PATTERN, POSE_COLUMNS, products
+from calibration.engine.estimation.least_squares.label_columns import POSE_COLUMNS, ColumnNames, products
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.options import ALL_EXACT, OF_INTRINSICS, Assumptions
 from calibration.engine.estimation.problem.blocks import PARAMETERS_IN_PIXELS, Prior
-from calibration.engine.estimation.residuals.corner_residuals import ERRORS_BEYOND_LENS_MODEL, CornerTerm
+from calibration.engine.estimation.residuals.corner_residuals import CornerTerm
 from calibration.engine.geometry import rotations
 from calibration.engine.geometry.cameras import Camera
 from calibration.engine.geometry.transforms import apply, transform
@@ -65,7 +65,8 @@ def nominal_lens(camera: Camera) -> NominalLens:
     # others only where camera_info has them (they are not 0)
     always = (*PARAMETERS_IN_PIXELS, *camera.distortion.always)
     parameters = tuple(name for name, value in coefficients if name in always or value)
-    names, n = (*camera.parameters, *ERRORS_BEYOND_LENS_MODEL, *COLUMNS_OF_BENT_PATTERN), len(parameters)
+    columns, n = ColumnNames(camera), len(parameters)
+    names = (*columns.of_sensor, *columns.of_pattern)
     M = _information_of_columns(
         camera, [POSE_COLUMNS + names.index(name) for name in (*parameters, "bow_x", "bow_y", "twist")]
     )

@@ -16,6 +16,7 @@ from calibration.engine.estimation.covariance.clusters import repeated_collectio
 from calibration.engine.estimation.covariance.error_bars import ErrorBars, nominal_covariances
 from calibration.engine.estimation.covariance.linear_model import LinearModel, linear_model
 from calibration.engine.estimation.covariance.suspects import Explanation, explain
+from calibration.engine.estimation.covariance.varying_causes import VaryingCause, steadied, varying_cause
 from calibration.engine.estimation.least_squares.noise_levels import NoiseLevels
 from calibration.engine.estimation.least_squares.normal_equations import Weighting
 from calibration.engine.estimation.options import Assumptions
@@ -131,7 +132,12 @@ class Solution:
     @cached_property
     def explanation(self) -> Explanation | None:
         """Suspects among the fixed parameters, and what they leave unexplained; None with too few collections."""
-        return explain(self.model)
+        return steadied(self.model, explain(self.model))
+
+    @cached_property
+    def varying(self) -> VaryingCause | None:
+        """Cause that varies from collection to collection and explains how they disagree, beside the suspects."""
+        return varying_cause(self.model, self.explanation.suspects) if self.explanation else None
 
     @cached_property
     def nominal(self) -> Mapping[int, Array]:

@@ -24,12 +24,17 @@ errors are independent of the others'.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from calibration.base.arrays import Array, IntArray
-from calibration.engine.estimation.covariance.error_bars import MAX_INFORMATION_WITHOUT_DECISIVE, arm_scatter
+from calibration.engine.estimation.covariance.cluster_state import (
+    MIN_INFORMATION_LEFT,
+    ClusterState,
+    inverse_roots,
+    whitening_matrices,
+)
+from calibration.engine.estimation.covariance.error_bars import MAX_INFORMATION_WITHOUT_DECISIVE
 from calibration.engine.estimation.covariance.fixed_inputs import (
     ECCENTRICITY_KIND,
     ENCODER_KIND,
@@ -53,8 +58,6 @@ MIN_GAIN_OF_ALTERNATIVE = 0.85
 """Explanations with at least this fraction of the best one's gain are reported as alternatives."""
 MIN_GAIN_OF_CHANGE = 0.95
 """Another board or lens that explains this fraction of a move's gain is taken for it: it explains a part of drifts."""
-MIN_INFORMATION_LEFT = 1e-7
-"""Part of the information on a cause that the other parameters must leave for it to be determined."""
 MIN_CLUSTERS_ON_A_SIDE = 4
 """Minimum of clusters before and after a displacement for their own scatter to be estimated. Fewer ones have that of
 all the others, and what an arm errs by."""
@@ -188,10 +191,23 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
     """
     if len(model.G) < MIN_CLUSTERS:
         return None
+    found, state = suspects_of(model, ClusterState.at_optimum(model), fewest_moved)
+    return Explanation(found, remaining_disagreement(model, state))
+
+
+def suspects_of(
+    model: LinearModel, state: ClusterState, fewest_moved: int | None
+) -> tuple[tuple[Suspect, ...], ClusterState]:
+    """Return the suspects, best explanation first, and the state with them free.
+
+    Args:
+        model: linear model at the optimum.
+        state: what is free already.
+        fewest_moved: minimum of clusters before and after a displacement; None to test none.
+    """
     candidates = list(_candidates_by_size(model, fewest_moved))
     limit = threshold(sum(len(each.causes) for each in candidates))
     found: list[Suspect] = []
-    state = _State.at_optimum(model)
     while len(found) < MAX_FREED_CAUSES:
         tried = [suspect for each in candidates for suspect in _test_candidates(state, each, threshold(1))]
         tried = [
@@ -220,10 +236,10 @@ def explain(model: LinearModel, fewest_moved: int = 1) -> Explanation | None:
         best = max(others, key=lambda each: each.gain, default=best)
         found.append(best)
         state = state.with_cause(columns_of_cause(model, best.cause), best.since)
-    return Explanation(tuple(found), _remaining_disagreement(model, state))
+    return tuple(found), state
 
 
-def _suspected_lenses(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
+def _suspected_lenses(model: LinearModel, state: ClusterState, limit: float, least: float) -> Iterator[Suspect]:
     """Yield the cameras whose intrinsics explain at least so much if all of them are free.
 
     Errors of a lens that no single cause covers look like something that has moved, as the places in the image change.
@@ -237,7 +253,7 @@ def _suspected_lenses(model: LinearModel, state: "_State", limit: float, least: 
         yield from (each for each in _test_candidates(state, of, limit) if each.gain >= least)
 
 
-def _suspected_changes(model: LinearModel, state: "_State", limit: float, least: float) -> Iterator[Suspect]:
+def _suspected_changes(model: LinearModel, state: ClusterState, limit: float, least: float) -> Iterator[Suspect]:
     """Yield the boards, lenses and encoders' zeros that explain at least so much as other ones from some cluster on."""
     K = len(state.G)
     since: list[int | None] = list(range(MIN_CLUSTERS_ON_A_SIDE, K - MIN_CLUSTERS_ON_A_SIDE + 1))
@@ -279,10 +295,10 @@ def explains_all(model: LinearModel) -> bool:
 
 def disagreement(model: LinearModel) -> Disagreement:
     """Compute the disagreement of clusters without suspects; it needs fewer clusters than a search."""
-    return _remaining_disagreement(model, _State.at_optimum(model))
+    return remaining_disagreement(model, ClusterState.at_optimum(model))
 
 
-def _remaining_disagreement(model: LinearModel, state: "_State") -> Disagreement:
+def remaining_disagreement(model: LinearModel, state: ClusterState) -> Disagreement:
     """Compute the disagreement of clusters that remains after the causes that have been set free.
 
     The assumed errors of fixed parameters, and of an arm in each cluster, would make each cluster's own optimum scatter
@@ -294,7 +310,7 @@ def _remaining_disagreement(model: LinearModel, state: "_State") -> Disagreement
     freedom = max(1.0, state.freedom)
     places = model.placed(PLACE_KIND)
     displacements = [
-        (state.residual[:, None, at] @ _whitening_matrices(state.G[:, at, at], state.alone[at]))[:, 0]
+        (state.residual[:, None, at] @ whitening_matrices(state.G[:, at, at], state.alone[at]))[:, 0]
         for _, at in places
     ]  # (K, k) each, by its sensor or pattern
     allowed = freedom + expected
@@ -312,7 +328,7 @@ def _remaining_disagreement(model: LinearModel, state: "_State") -> Disagreement
     )
 
 
-def _covariance_by_clusters(state: "_State") -> tuple[Array, Array, Array]:
+def _covariance_by_clusters(state: ClusterState) -> tuple[Array, Array, Array]:
     """Return the covariance (S, S) of the calibrated parameters with collections as clusters, and its expected parts.
 
     As in `covariance.error_bars`, of the residuals that are left once causes have been set free. An error
@@ -348,132 +364,19 @@ def _is_plausible(suspect: Suspect) -> bool:
     return suspect.cause.kind != "pixel convention" or bool(low < abs(suspect.value[0]) < high)
 
 
-def _candidates_by_size(model: LinearModel, fewest_moved: int) -> Iterator[_Candidates]:
+def _candidates_by_size(model: LinearModel, fewest_moved: int | None) -> Iterator[_Candidates]:
     """Yield all causes by size; displacements from each collection on."""
     K = len(model.G)
     entries: dict[int, list[tuple[Cause, int | None, slice]]] = {}
     for cause, at in model.placed():
-        if not cause.tested:
+        if not cause.tested or (cause.kind == PLACE_KIND and fewest_moved is None):
             continue
-        since = range(fewest_moved, K - fewest_moved + 1) if cause.kind == PLACE_KIND else [None]
+        since = range(fewest_moved, K - fewest_moved + 1) if fewest_moved and cause.kind == PLACE_KIND else [None]
         entries.setdefault(cause.size, []).extend((cause, each, at) for each in since)
     for each in entries.values():
         columns = np.array([np.arange(at.start, at.stop) for _, _, at in each])
         masks = np.array([np.arange(K) >= (since or 0) for _, since, _ in each])
         yield _Candidates([cause for cause, _, _ in each], [since for _, since, _ in each], columns, masks)
-
-
-@dataclass(frozen=True, eq=False)
-class _State:
-    """Linear model with the causes that have been set free among the free parameters."""
-
-    G: Array
-    """(K, C, C)."""
-    g: Array
-    """(K, C): gradient of each cluster before the last causes were set free."""
-    free: IntArray
-    """(F,): columns that are free."""
-    shared: int
-    """Number of calibrated parameters among the free ones."""
-    held: IntArray
-    """(H,): columns of fixed parameters that add to the covariance, without those that have been set free."""
-    sigmas: Array
-    """(H,): their assumed standard deviations."""
-    alone: Array
-    """(C,): information on each column if all others were known, see `LinearModel`."""
-    arm: Array
-    """(K, C, H): gradients by errors of an arm that differ from cluster to cluster."""
-
-    @cached_property
-    def inverse(self) -> Array:
-        """(F, F): inverse of the information of the free columns."""
-        return _pseudo_inverse(self.G.sum(0)[np.ix_(self.free, self.free)], self.alone[self.free])
-
-    @cached_property
-    def residual(self) -> Array:
-        """(K, C): gradient of each cluster with the free ones at their optimum."""
-        return np.asarray(self.g - self.G[:, :, self.free] @ (self.inverse @ self.g.sum(0)[self.free]))
-
-    @cached_property
-    def whitening(self) -> Array:
-        """(K, S, S): of the calibrated parameters by each cluster."""
-        return _whitening_matrices(self.G[:, : self.shared, : self.shared], self.alone[: self.shared])
-
-    @cached_property
-    def disagreement(self) -> float:
-        """Decrease of the clusters' costs if each had its own parameters."""
-        return float((np.einsum("kji,kj->ki", self.whitening, self.residual[:, : self.shared]) ** 2).sum())
-
-    @property
-    def freedom(self) -> float:
-        """Its degrees of freedom."""
-        return float(np.any(self.whitening, 1).sum()) - len(self.free)
-
-    @classmethod
-    def at_optimum(cls, model: LinearModel) -> "_State":
-        G, g = model.G.copy(), model.g.copy()
-        G[0] += model.prior
-        g[0, : model.shared] -= g[:, : model.shared].sum(0)  # rounding error, or the gradient of a prior
-        # those that add to the result's covariance
-        counting = [(cause, at) for cause, at in model.placed() if cause.counts]
-        held = np.concatenate([np.arange(0), *(np.arange(at.start, at.stop) for _, at in counting)])
-        sigmas = np.concatenate([np.zeros(0), *(np.array(cause.assumed) for cause, _ in counting)])
-        state = cls(G, g, np.arange(model.shared), model.shared, held, sigmas, model.alone, arm_scatter(model))
-        for cause, at in model.placed():
-            state = state.with_cause(np.arange(at.start, at.stop), None) if cause.free else state
-        return state
-
-    def with_cause(self, own: IntArray, since: int | None) -> "_State":
-        """Return the state with one more cause free, by its columns."""
-        mask = (np.arange(len(self.G)) >= (since or 0)).astype(float)[:, None, None]
-        C = self.G.shape[-1]
-        k = len(own)
-        G = np.zeros((len(self.G), C + k, C + k))
-        G[:, :C, :C] = self.G
-        G[:, :C, C:] = mask * self.G[:, :, own]
-        G[:, C:, :C] = np.swapaxes(G[:, :C, C:], 1, 2)
-        G[:, C:, C:] = mask * self.G[:, own[:, None], own]
-        g = np.concatenate([self.residual, mask[..., 0] * self.residual[:, own]], -1)
-        alone = np.append(self.alone, self.alone[own])
-        arm = np.concatenate([self.arm, mask * self.arm[:, own]], 1)
-        kept = ~np.isin(self.held, own)
-        free = np.append(self.free, np.arange(C, C + k))
-        return _State(G, g, free, self.shared, self.held[kept], self.sigmas[kept], alone, arm)
-
-
-def _pseudo_inverse(information: Array, alone: Array) -> Array:
-    """Pseudo-inverse (n, n) of an information (n, n); zero in directions without any, as a free cause may have.
-
-    Args:
-        information: the information.
-        alone: (n,), the reference of full information on each column.
-    """
-    scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
-    return scale[:, None] * np.linalg.pinv(scale[:, None] * information * scale, 1e-13, True) * scale
-
-
-def _whitening_matrices(G: Array, alone: Array) -> Array:
-    """Return matrices w (K, n, n) with ``w w^T = G^+``; columns of zeros for directions without information.
-
-    Args:
-        G: (K, n, n).
-        alone: (n,), the reference of full information on each column.
-    """
-    return _whitening_and_axes(G, alone)[0]
-
-
-def _inverse_roots(G: Array, alone: Array) -> Array:
-    """Return such matrices of which two are alike where their G are: axes of the columns are turned back."""
-    whitening, axes = _whitening_and_axes(G, alone)
-    return whitening @ np.swapaxes(axes, 1, 2)
-
-
-def _whitening_and_axes(G: Array, alone: Array) -> tuple[Array, Array]:
-    scale = 1 / np.sqrt(np.maximum(alone, 1e-300))
-    values, vectors = np.linalg.eigh(scale[:, None] * G * scale)
-    kept = values > MIN_INFORMATION_LEFT / len(G)
-    root = np.where(kept, 1 / np.sqrt(np.where(kept, values, 1.0)), 0.0)
-    return np.asarray(scale[:, None] * vectors * root[:, None]), vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -509,7 +412,7 @@ class _Step:
         return -self.W @ self.value
 
 
-def _test_candidates(state: _State, candidates: _Candidates, limit: float) -> Iterator[Suspect]:
+def _test_candidates(state: ClusterState, candidates: _Candidates, limit: float) -> Iterator[Suspect]:
     """Yield the candidates whose significance exceeds a limit."""
     for cause, since, step in zip(
         candidates.causes, candidates.since, _steps_of_candidates(state, candidates), strict=True
@@ -529,7 +432,7 @@ def _test_candidates(state: _State, candidates: _Candidates, limit: float) -> It
             yield Suspect(cause, since, step.value, errors, score, step.gain / noise, -step.W[: state.shared])
 
 
-def _steps_of_candidates(state: _State, candidates: _Candidates) -> Iterator[_Step]:
+def _steps_of_candidates(state: ClusterState, candidates: _Candidates) -> Iterator[_Step]:
     """Yield the step of each candidate; sums over clusters are computed for all of them at once."""
     if not candidates.causes:
         return
@@ -551,7 +454,7 @@ def _steps_of_candidates(state: _State, candidates: _Candidates) -> Iterator[_St
             yield _Step(own, mask, information[j], W[j], basis, -basis.T @ pull[j])
 
 
-def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, score: float) -> tuple[float, Array]:
+def _smallest_score(state: ClusterState, cause: Cause, step: _Step, noise: float, score: float) -> tuple[float, Array]:
     """Return the smallest of a cause's three standard scores, and the covariance (r, r) of its step.
 
     Args:
@@ -592,7 +495,7 @@ def _smallest_score(state: _State, cause: Cause, step: _Step, noise: float, scor
     return min(*by_clusters, float(score_of_f(beyond / r, r, freedom))), covariance
 
 
-def _scatter_of_others(state: _State, step: _Step, left: Array, noise: float) -> Array:
+def _scatter_of_others(state: ClusterState, step: _Step, left: Array, noise: float) -> Array:
     """Return errors (n, r) of a displacement that few clusters tell, by directions in which others scatter by more.
 
     What makes views disagree, such as images that shake, does so in some directions more than in all on average.
@@ -606,11 +509,11 @@ def _scatter_of_others(state: _State, step: _Step, left: Array, noise: float) ->
     own, mask = step.own, step.mask.astype(bool)
     G = state.G[:, own[:, None], own]
     others = mask if mask.sum() > len(mask) / 2 else ~mask
-    pulls = left[others][:, own] @ _inverse_roots(G[others].mean(0)[None], state.alone[own])[0]
+    pulls = left[others][:, own] @ inverse_roots(G[others].mean(0)[None], state.alone[own])[0]
     w, U = np.linalg.eigh(pulls.T @ pulls / others.sum())
     beyond = U * np.sqrt(np.maximum(w - noise, 0.0))
     effects = step.mask[:, None, None] * G - step.W.T @ state.G[:, state.free][:, :, own]
-    shaken = effects @ _inverse_roots(G, state.alone[own]) @ beyond
+    shaken = effects @ inverse_roots(G, state.alone[own]) @ beyond
     return np.asarray((np.swapaxes(shaken, 1, 2) @ step.basis).reshape(-1, step.basis.shape[1]))
 
 

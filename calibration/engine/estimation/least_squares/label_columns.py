@@ -32,6 +32,8 @@ COLUMNS_OF_PATTERN = (*COLUMNS_OF_BENT_PATTERN, "border")
 COLUMNS_OF_RANGES = ("bias", "scale", "elevation", "sweep_x", "sweep_y", "sweep_z")
 """Columns of a LiDAR or a depth camera: range offset (m) and scale, elevation offset of its beams
 (rad), and motion during a sweep (m per revolution, in its own frame)."""
+COLUMNS_OF_SHUTTER = ("shutter_x", "shutter_y", "shutter_z")
+"""Last columns of a camera: motion while an image is read row by row (m an image, in its own frame)."""
 COLUMNS_OF_MEASURED_POSES = ("scale",)
 """Columns of measured poses: by what factor their translations are too long."""
 LABELS_PER_PASS = 2 * LABELS_PER_CHUNK
@@ -55,7 +57,7 @@ class ColumnNames:
         if self.poses:
             return COLUMNS_OF_MEASURED_POSES
         if self.camera:
-            return (*self.camera.parameters, *ERRORS_BEYOND_LENS_MODEL)
+            return (*self.camera.parameters, *ERRORS_BEYOND_LENS_MODEL, *COLUMNS_OF_SHUTTER)
         return (*COLUMNS_OF_RANGES, *map(ring_column, self.rings))
 
     @cached_property
@@ -119,8 +121,10 @@ def _columns_of_views(
     """Return all columns of v views as weighted rows (6 + E + 1, v, d L); the last are the residuals."""
     scale, huber = weighting.scales[term.kind], weighting.huber
     if isinstance(term, CornerTerm):
-        rows, places = term.rows(T, views, scale, huber, len(COLUMNS_OF_BENT_PATTERN))
-        _fill_bent(rows[-1 - len(COLUMNS_OF_BENT_PATTERN) : -1], rows[:3], places, pattern)
+        bent = len(COLUMNS_OF_BENT_PATTERN)
+        rows, places = term.rows(T, views, scale, huber, len(COLUMNS_OF_SHUTTER) + bent)
+        _fill_shutter(rows[-1 - bent - len(COLUMNS_OF_SHUTTER) : -1 - bent], rows[:3], term, T, views)
+        _fill_bent(rows[-1 - bent : -1], rows[:3], places, pattern)
     elif isinstance(term, PoseTerm):
         rows, _ = term.rows(T, views, scale, huber, len(COLUMNS_OF_MEASURED_POSES))
         _fill_measured(rows[POSE_COLUMNS], rows[:3], T, pattern)
@@ -153,6 +157,15 @@ def _fill_ranging(out: Array, pull: Array, T: Array, places: Array) -> None:
     out[1, :, 0] = along
     out[2, :, 0] = (pull * lower).sum(0)
     np.multiply(pull, np.arctan2(y, x) / (-2 * np.pi), out=out[3:, :, 0])
+
+
+def _fill_shutter(out: Array, pull: Array, term: CornerTerm, T: Array, views: slice) -> None:
+    """Fill `COLUMNS_OF_SHUTTER` (3, v, 2, L): the pattern moves along the camera's axes from the first row to the last.
+
+    The image counts as it is in its middle row.
+    """
+    row = np.nan_to_num(term.pixels[views, 1]) / term.camera.height - 0.5
+    np.einsum("vij,jvdl,vl->ivdl", T[:, :3, :3], pull, row, out=out)
 
 
 def _fill_rings(out: Array, elevation: Array, rays: Array, rings: Sequence[float]) -> None:
