@@ -34,7 +34,7 @@ SYSTEM = "python3 system.py > {node}.log 2>&1"
 
 @pytest.fixture(scope="module")
 def ros(engine: "DockerClient", base_image: str) -> "Iterator[Container]":
-    """A container with a master and the node of `system.py`."""
+    """A container with a master and the node of `player_system.py`."""
     image, _ = engine.images.build(
         fileobj=io.BytesIO(DOCKERFILE.format(base=base_image).encode()), tag="calibration-test:ros1", forcerm=True
     )
@@ -58,7 +58,7 @@ def ros(engine: "DockerClient", base_image: str) -> "Iterator[Container]":
             for number, pose in enumerate(POSES)
         }
         put(container, "player.py", PLAYER_FILE.read_bytes())
-        put(container, "system.py", Path(__file__).with_name("system.py").read_bytes())
+        put(container, "system.py", Path(__file__).with_name("player_system.py").read_bytes())
         put(container, "motion.json", json.dumps(motion).encode())
         wait_until(lambda: b"started core service" in container.logs(), "a master")
         start(container, "system")
