@@ -124,3 +124,7 @@ def test_a_users_recording_keeps_to_its_conditions() -> None:
     label = near.told.collections[0].labels["pattern_1", "rgb_world"]
     assert isinstance(label, CornerLabels)
     assert np.std(label.pixels - near.expected(0, "rgb_world", label.ids)) > 0.35
+
+
+def test_a_defect_by_which_a_variance_grows_without_bound_has_a_verdict() -> None:
+    assert run(Case("eccentric gear", "good", "spjbot", 2, 0, limits=False)).red

@@ -36,6 +36,8 @@ LIKELIEST = 4
 """Number of causes that are compared by their best variance."""
 STRIDE = 3.0
 """Power of a step of EM that is taken, as it goes a small part of the way; 1 from where that is too far."""
+MAX_GROWTH = 1e6
+"""Limit of a variance, in the one to start from: of a cause that nothing but it determines, none is large enough."""
 TOLERANCE = 0.01
 """Gain of a step in deviance below which the variance is found."""
 ALIKE = 10.0
@@ -171,7 +173,8 @@ class _Variation:
                 stride = 1.0
             else:
                 break
-            now = replace(self, variances=best.variances * (expected / best.variances) ** stride)._alike()
+            variances = best.variances * (expected / best.variances) ** stride
+            now = replace(self, variances=np.minimum(variances, MAX_GROWTH * self.variances))._alike()
         return best
 
     def _evaluated(self) -> tuple[float, Array]:
