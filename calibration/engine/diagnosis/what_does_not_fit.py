@@ -519,7 +519,8 @@ def _find_contradictions(
     for name in sorted(beyond, key=lambda each: -beyond[each]):
         limit, (mm, degrees) = limit_of[name], sigmas[name]
         off = _off_by_variation(varying, places[name], name not in significant) if varying else (mm, degrees)
-        if name not in significant and not (varying and limit.exceeded(*off)):
+        within = off[0] < limits.guard * mm and off[1] < limits.guard * degrees  # what its error bar says already
+        if name not in significant and (varying is None or within or not limit.exceeded(*off)):
             continue
         subject, keys = _worst_subject(calibration, found, (name, *calibration.dataset.patterns))
         broken = tuple(each.task.name for each in tasks if _is_broken(each, places[name]))
