@@ -10,7 +10,9 @@ from calibration.engine.dataset.model import CornerLabels, Dataset, Labels
 from calibration.engine.diagnosis.limits import Limits
 from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
+from calibration.engine.estimation.covariance.cluster_state import ClusterState
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
+from calibration.engine.estimation.covariance.varying_causes import _Variation
 from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry.transforms import apply, distance, retract, translation
 from tests.engine.estimation import systems
@@ -93,3 +95,12 @@ def test_a_board_of_another_size_on_an_arm_that_is_off_in_each_pose_is_no_row_of
     kinds = [each.cause.kind for each in explanation.suspects]
     assert kinds[0] in ("size", "lengths")
     assert PLACE_KIND not in kinds
+
+
+def test_what_varies_without_bound_leaves_its_own_mean_undetermined() -> None:
+    model = calibrate(GOOD, Options(assume=ALL_EXACT)).solution.model
+    cause, at = next((cause, at) for cause, at in model.placed() if cause.kind == PLACE_KIND)
+    found = _Variation.first(ClusterState.at_optimum(model), cause, at)
+    assert found
+    assert np.isfinite(found.deviance)
+    assert replace(found, variances=found.variances * 1e30).deviance == np.inf

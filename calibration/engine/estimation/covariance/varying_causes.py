@@ -158,7 +158,10 @@ class _Variation:
 
     @property
     def deviance(self) -> float:
-        """Twice the decrease of the logarithm of the restricted likelihood, of no variation; negative if it gains."""
+        """Twice the decrease of the logarithm of the restricted likelihood, of no variation; negative if it gains.
+
+        Infinite where a shared parameter is not determined with it.
+        """
         return self._evaluated()[0]
 
     def fitted(self, steps: int) -> "_Variation":
@@ -184,11 +187,15 @@ class _Variation:
         P = np.linalg.inv(squares + np.diag(1 / self.variances))
         taken, before = P @ mixed, G.sum(0)[free[:, None], free]
         after = before - np.einsum("kbi,kbj->ij", mixed, taken)
+        try:
+            root = np.linalg.cholesky(after)
+        except np.linalg.LinAlgError:  # it leaves nothing that tells a shared parameter
+            return np.inf, self.variances
         gradient, inverse = -np.einsum("kbi,kb->i", taken, pulls), np.linalg.inv(after)
         change = -inverse @ gradient
         logs = (
             np.linalg.slogdet(np.eye(len(own)) + squares * self.variances)[1].sum()
-            + np.linalg.slogdet(after)[1]
+            + 2 * np.log(np.diagonal(root)).sum()
             - np.linalg.slogdet(before)[1]
         )
         gain = np.einsum("ki,kij,kj->", pulls, P, pulls) - gradient @ change
