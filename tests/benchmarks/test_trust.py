@@ -11,6 +11,7 @@ from benchmarks import trust
 from benchmarks.rows import Row
 from benchmarks.trust import moves
 from benchmarks.trust.defects import most_green, of_unforeseen
+from benchmarks.trust.good_robots import Draw, judge
 from benchmarks.verdict.case import Case, Outcome, colour_of, run
 from calibration.engine.diagnosis.finding import Finding, Severity
 from calibration.engine.estimation.start.guesses import StartingNoise
@@ -58,3 +59,9 @@ def test_a_sensor_that_moves_in_the_middle_is_red_and_named() -> None:
     found = moves.moved(2)
     assert 0 < found.first < found.collections
     assert (found.colour, found.named) == ("red", True)
+
+
+def test_a_clean_recording_with_a_limit_within_its_error_bar_is_undecided() -> None:
+    """What varies by chance moves the result by less than its error bar says anyway."""
+    [found] = judge([Draw(0, 30, 1.0)])
+    assert found.colour == "undecided"
