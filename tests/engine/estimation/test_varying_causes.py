@@ -12,7 +12,7 @@ from calibration.engine.diagnosis.what_does_not_fit import what_does_not_fit
 from calibration.engine.estimation.calibrate import Options, calibrate
 from calibration.engine.estimation.covariance.cluster_state import ClusterState
 from calibration.engine.estimation.covariance.fixed_inputs import PLACE_KIND
-from calibration.engine.estimation.covariance.varying_causes import _Variation
+from calibration.engine.estimation.covariance.varying_causes import _Variation, steadied
 from calibration.engine.estimation.options import ALL_EXACT
 from calibration.engine.geometry.transforms import apply, distance, retract, translation
 from tests.engine.estimation import systems
@@ -95,6 +95,12 @@ def test_a_board_of_another_size_on_an_arm_that_is_off_in_each_pose_is_no_row_of
     kinds = [each.cause.kind for each in explanation.suspects]
     assert kinds[0] in ("size", "lengths")
     assert PLACE_KIND not in kinds
+    model = calibrate(wrong).solution.model
+    place = next(cause for cause, _ in model.placed() if cause.kind == PLACE_KIND)
+    move = replace(explanation.suspects[0], cause=place, since=8)
+    steady = steadied(model, replace(explanation, suspects=(move, move)))
+    assert steady
+    assert [each.cause.kind for each in steady.suspects][:1] == kinds[:1]
 
 
 def test_what_varies_without_bound_leaves_its_own_mean_undetermined() -> None:
